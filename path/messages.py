@@ -7,7 +7,7 @@ when it starts, or takes over from its record; never 0.
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import Enum, StrEnum
 
 from path.alike import Alike
 from path.observations import Box, MissReason
@@ -17,11 +17,13 @@ Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]  # wxyz
 
 
-class Role(Enum):
+class Role(StrEnum):
+    """The role of a drone in a leg, and the name of a pair's drone, which never changes it."""
+
     SENDER = "sender"
     RECEIVER = "receiver"
 
-    __hash__ = object.__hash__  # Enum's own is a call of Python's for each look into a table
+    __hash__ = str.__hash__  # Enum's own is a call of Python's for each look into a table
 
 
 @value

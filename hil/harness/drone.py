@@ -14,6 +14,8 @@ from hil.harness.guard import MemoryBeatLine
 from hil.link.faulty import MemoryHub
 from hil.world.errors import Built
 from hil.world.seam import Freeze, PartWorld
+from hil.world.snapshot import Snapshot
+from hil.world.world import Fleet, SimDrone
 from path.messages import Role
 from path.protocol.values import ReceiverRecord, SenderRecord
 
@@ -57,6 +59,36 @@ class Disk(MemoryStore):
         told = Future[None]()
         loop.call_at(self.stands_until_s, told.set_result, None)
         return told
+
+
+class PairView:
+    """A world of two, for the parts of one drone."""
+
+    def __init__(self, world: Fleet, own: str) -> None:
+        self._world = world
+        self._own = own
+        self.other: str | None = None
+        self._seen: Snapshot | None = None
+        self._seen_other: str | None = None
+
+    @property
+    def time_s(self) -> float:
+        return self._world.time_s
+
+    def drone(self, role: Role) -> SimDrone:
+        """Its own, whatever it is called: a part knows no other vehicle."""
+        del role
+        return self._world.drone(self._own)
+
+    def snapshot(self) -> Snapshot:
+        if (
+            self._seen is None
+            or self._seen.time_s != self._world.time_s
+            or self._seen_other != self.other
+        ):
+            self._seen = self._world.view(self._own, self.other)
+            self._seen_other = self.other
+        return self._seen
 
 
 class DroneHarness:

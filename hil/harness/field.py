@@ -11,13 +11,14 @@ import numpy as np
 
 from drivers.rig.parts import Rig
 from drivers.rig.tables import decode_table
-from flight.harness.fleet import NamedTarget, RelayConfig, pair_of
+from flight.harness.fleet import NamedDrone, NamedTarget, RelayConfig, pair_of
 from flight.harness.relay import POINTING_M, Pointed
-from hil.harness.relay_world import OTHER, OWN, RelayWorld
 from hil.harness.sim import mission_config
 from hil.monitors.relay import RelayMonitors
-from hil.world.config import WorldConfig
-from hil.world.errors import Built, as_built
+from hil.world.config import HomeConfig, WorldConfig
+from hil.world.errors import Built, as_built, put_down
+from hil.world.world import OTHER, OWN, Fleet
+from path.protocol.values import ProtocolConfig
 from path.values import frozen
 
 
@@ -30,7 +31,7 @@ class Field:
         built: how each truly is.
     """
 
-    world: RelayWorld
+    world: Fleet
     pairs: Mapping[str, Rig]
     built: Mapping[str, Built]
     monitors: RelayMonitors
@@ -41,7 +42,8 @@ class Field:
         Args:
             cut_off_s: when the harness itself stopped its setpoints; forgotten then.
         """
-        self.monitors.on_offboard(name, cut_off_s)
+        sessions = self.world.drone(name).autopilot.offboard_sessions
+        self.monitors.on_offboard(name, sessions, cut_off_s)
         self.monitors.on_swap(name, now_s)
         cut_off_s.clear()
 
@@ -51,7 +53,7 @@ def make_field(
 ) -> Field:
     """Make the field of a relay, or of a team that has ``targets``."""
     world_config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
-    world = RelayWorld(world_config, seed, config.drones, targets)
+    world = fleet_of(world_config, seed, config.drones, targets)
     pairs = {drone.name: pair_of(rig, drone, drone) for drone in config.drones}
     built = {
         name: as_built(pair, seed, {OTHER: 0, OWN: k})
@@ -59,10 +61,30 @@ def make_field(
     }
     owns = {name: each.rig.receiver for name, each in built.items()}
     count = max(1, len(targets))
-    monitors = RelayMonitors(rig, config, mission_config(rig), world, owns, targets=count)
+    mission = mission_config(rig)
+    monitors = RelayMonitors(
+        rig.method, mission.separation.minimum_m, mission.guard, ProtocolConfig.of_clocks(mission.clock_uncertainty_s),
+        config=config, world=world, own=owns, targets=count,
+    )  # fmt: skip
     if targets:
         monitors.watched_until_s = 3600.0 * hours
     return Field(world, pairs, built, monitors)
+
+
+def fleet_of(
+    config: WorldConfig, seed: int, drones: Sequence[NamedDrone], targets: Sequence[NamedTarget]
+) -> Fleet:
+    """Return drones that are off, where the crew has put them down."""
+    homes = {
+        drone.name: HomeConfig(
+            put_down(drone.home_m, config.errors.sizes, seed, k), drone.heading_deg
+        )
+        for k, drone in enumerate(drones)
+    }
+    fleet = Fleet(config, seed, homes, targets=targets, on=False)
+    for drone in drones:
+        fleet.battery(drone.name, drone.battery)
+    return fleet
 
 
 def pointing(seed: int) -> np.random.Generator:

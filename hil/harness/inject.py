@@ -14,12 +14,15 @@ from hil.harness.drone import DroneHarness, present_s
 from hil.harness.programs import Programs
 from hil.link.faulty import FaultyLink
 from hil.world.faults import Fault
-from hil.world.world import Fleet, Name
+from hil.world.world import Fleet
+from path.messages import Role
 
 SAGGED = 0.15
 RC = "rc_"
 STEP = "step_"
 GRABBED = (0.0, -0.6, 0.0, 0.0)  # the right stick pulled back: away from what is ahead
+# after these it is his, or holds and waits for him
+THE_PILOTS = ("pilot_takeover", "rc_mode", "rc_sticks", "rc_lost")
 
 _OF_LINK = {
     "link_loss": ("loss",),
@@ -63,16 +66,26 @@ def need_radios(rig: Rig, faults: Sequence[Fault]) -> None:
 
 
 def inject_in_world(
-    name: str, role: Name | None, world: Fleet[Name], value: float | None = None
+    name: str,
+    role: str | None,
+    world: Fleet,
+    value: float | None = None,
+    leg: Sequence[str] = tuple(Role),
+    target: int = 0,
 ) -> None:
-    """A fault of the world; any other changes nothing here."""
+    """A fault of the world; any other changes nothing here.
+
+    Args:
+        role: the drone that it is of.
+        leg: the sender and the receiver, between which it is; of which ``target`` it is.
+    """
     match name:
         case "lookalike":
-            world.send_lookalike()
+            world.send_lookalike(target)
         case "marker_hidden":
-            world.hide_marker(True)
+            world.hide_marker(leg[0])
         case "depth_holes":
-            world.depth_holes(True)
+            world.depth_holes(*leg)
         case "pilot_takeover" if role is not None:
             world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
         case "motor_kill" if role is not None:
@@ -94,7 +107,7 @@ def inject_in_world(
             pass
 
 
-def _step_estimator(name: str, drone: Name, world: Fleet[Name], by: float) -> None:
+def _step_estimator(name: str, drone: str, world: Fleet, by: float) -> None:
     """``by``: in metres north, east or up, or in degrees clockwise."""
     match name.removeprefix(STEP).partition("_")[0]:
         case "north":
@@ -117,6 +130,20 @@ def _at_transmitter(name: str, held: Transmitter, away_until_s: float) -> None:
         held.sticks = GRABBED
     elif what == "lost":
         held.away_until_s = away_until_s
+
+
+def inject_in_leg(
+    fault: str,
+    drone: str | None,
+    world: Fleet,
+    value: float | None,
+    leg: Sequence[str],
+    target: int,
+) -> None:
+    """A fault of the world in a leg of many, whose pilots land what they took over."""
+    inject_in_world(fault, drone, world, value, leg, target)
+    if drone is not None and fault.startswith(THE_PILOTS):
+        world.pilot_lands(drone)
 
 
 def inject_on_link(name: str, value: float, link: FaultyLink[Any]) -> None:

@@ -10,7 +10,6 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from contextvars import copy_context
 from dataclasses import dataclass
-from typing import Any
 
 from flight.harness.flights import RoleResult
 from hil.harness.drone import Disk, DroneHarness
@@ -23,7 +22,7 @@ from path.values import frozen
 class Started:
     """A program that has begun."""
 
-    log: WatchedLog[Any]
+    log: WatchedLog
     result: Awaitable[RoleResult]
 
 
@@ -35,7 +34,7 @@ class _Slot:
     harness: DroneHarness
     disk: Disk
     start: Callable[[], Started] | None = None
-    log: WatchedLog[Any] | None = None
+    log: WatchedLog | None = None
     task: asyncio.Future[RoleResult] | None = None
     restart: asyncio.Task[None] | None = None
     killed: bool = False

@@ -17,17 +17,17 @@ from drivers.rig.parts import RoleRig, part_context
 from flight.config import MissionConfig
 from flight.harness.flights import ProgramContext, Progress, RoleResult
 from flight.harness.relay import DroneProgram, Pointed, RelayRequest
-from hil.harness.drone import Disk, DroneHarness, present_s
+from hil.harness.drone import Disk, DroneHarness, PairView, present_s
 from hil.harness.field import make_field, pointed, pointing
 from hil.harness.guard import MemoryBeatLine, keep_watch
-from hil.harness.inject import inject_at_drone, inject_on_link
+from hil.harness.inject import inject_at_drone, inject_in_leg, inject_on_link
 from hil.harness.leg_faults import LegFaults
 from hil.harness.programs import Programs, Started
-from hil.harness.relay_world import OWN, PairView
 from hil.link.faulty import MemoryHub
 from hil.monitors.watched_log import WatchedLog
 from hil.world.errors import Built
 from hil.world.faults import Fault
+from hil.world.world import OWN
 from path.messages import Role
 
 
@@ -76,7 +76,6 @@ class VirtualField:
         for drone in self.drones.values():
             self._close_flight(drone)
             drone.log.close()
-        self.monitors.close()
 
     def _new(self, name: str, own: RoleRig, built: Built) -> VirtualDrone:
         """Make a drone.
@@ -137,7 +136,7 @@ class VirtualField:
         self.legs.open_leg(number, sender, receiver)
 
     def close_leg(self, number: int) -> None:
-        self.world.close_leg(*self._ends_of(number))
+        self.world.uncover(*self._ends_of(number))
 
     def _ends_of(self, leg: int) -> tuple[str, str]:
         return self.legs.end_of(leg, Role.SENDER), self.legs.end_of(leg, Role.RECEIVER)
@@ -191,10 +190,8 @@ class VirtualField:
         name = None if role is None else self.legs.end_of(leg, role)
         inject_on_link(fault.name, fault.value or 0.0, self._hubs[leg])
         ends = self._ends_of(leg)
-        if fault.name == "lookalike":
-            self.world.send_lookalike(self.monitors.on_target(ends[0]))
-        else:
-            self.world.inject(fault.name, name, fault.value, ends)
+        target = self.monitors.target_of(ends[0])
+        inject_in_leg(fault.name, name, self.world, fault.value, ends, target)
         if name is not None:
             inject_at_drone(fault, name, self.drones[name].harness, self.programs)
 

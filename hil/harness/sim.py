@@ -15,7 +15,7 @@ from typing import Any
 from drivers.collector import collector_off
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import McapLog, new_part, virtual_log
-from drivers.rig.parts import Rig, part_context
+from drivers.rig.parts import Rig, RoleRig, part_context
 from drivers.rig.tables import decode_table
 from drivers.stop_signals import stop_on_signals
 from flight.config import MissionConfig
@@ -48,7 +48,6 @@ from hil.world.estimator import reported
 from hil.world.faults import Fault, parse_faults
 from hil.world.world import World
 from path.messages import Role
-from path.protocol.values import ProtocolConfig
 
 TRUTH_PERIOD_S = 0.04
 GROUND_PERIOD_S = 0.05  # while not both are in the air
@@ -107,11 +106,9 @@ class _Flight:
         config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._world = World(config, request.seed)
         built = as_built(rig, request.seed)
-        self._true_rig = built.rig
+        self._own: dict[str, RoleRig] = {role: built.rig.role(role) for role in Role}
         mission = mission_config(rig)
-        protocol = ProtocolConfig.of_clocks(mission.clock_uncertainty_s)
-        least_m = mission.separation.minimum_m
-        self._monitors = Monitors(rig.method, least_m, mission.guard, protocol)
+        self._monitors = Monitors.of_pair(rig.method, mission)
         self._monitors.stalls = isinstance(asyncio.get_running_loop(), StallingLoop)
         self._hub = MemoryHub(request.seed)
         self._drones = {role: self._new(role, built) for role in Role}
@@ -119,9 +116,7 @@ class _Flight:
         with virtual_log(request.out / "world.mcap", "world") as log:
             guarding = list(self._guards(mission))
             truth = self._truth = TruthLog(log)
-            truth.scene(
-                self._true_rig, self._monitors.min_separation_m, self._offsets_ns, config.target
-            )
+            truth.scene(built.rig, self._monitors.min_separation_m, self._offsets_ns, config.target)
             self._faults.open_leg(LEG, Role.SENDER.value, Role.RECEIVER.value)
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
@@ -190,10 +185,10 @@ class _Flight:
         return Started(watched, _with_log(request.role_main(self._rig, role, given), log))
 
     def _died(self, name: str) -> None:
-        self._monitors.on_death(Role(name))
+        self._monitors.on_death(name)
 
     def _forgot(self, name: str) -> None:
-        self._monitors.on_forgotten(self._world.time_s, Role(name))
+        self._monitors.on_forgotten(self._world.time_s, name)
 
     def _result(self, role: Role, end: asyncio.Future[RoleResult | None]) -> RoleResult | None:
         """None for a program that died, or could not begin once more. Raises what ended it
@@ -232,12 +227,13 @@ class _Flight:
             world.advance(loop.time())
             truth.truth(world)
             truth.modes(world)
-            self._monitors.on_truth(world.time_s, world.separation_m, world.both_in_air)
+            self._monitors.on_near(world.time_s, world.closest(self._monitors.min_separation_m))
             self._monitors.on_target(world.time_s, clearance(world))
             ticks += 1
             if ticks % VEHICLES_EVERY == 0:
-                self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._true_rig))
-            await asyncio.sleep(TRUTH_PERIOD_S if world.both_in_air else GROUND_PERIOD_S)
+                self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._own))
+            together = len(world.airborne) == len(Role)
+            await asyncio.sleep(TRUTH_PERIOD_S if together else GROUND_PERIOD_S)
 
     def _findings(self, truth: TruthLog, results: dict[Role, RoleResult | None]) -> dict[str, Any]:
         for role in Role:
@@ -258,7 +254,7 @@ class _Flight:
             ),
             "beyond": tuple(self._monitors.beyond),
             "broken": tuple(self._monitors.broken),
-            "figures": self._monitors.leases.figures,
+            "figures": self._monitors.legs[0].leases.figures,
             "errors": reported(self._rig) | drawn_imaging(self._rig),
             "scene": "" if (scene := scene_of(self._rig)) == "plain" else scene,
         }

@@ -178,7 +178,7 @@ def _records(out: Path) -> Iterator[tuple[int, Role, LogRecord | None]]:
 def report_of(request: FlightRequest, run: RealTimeRun, ending: Ending) -> FlightReport:
     """The world's findings, and those of both programs' logs, judged in the order of time."""
     finished = ending.finished
-    monitors = Monitors(request.rig.method, min_separation_m=0.0)
+    monitors = Monitors.of_pair(request.rig.method)
     ages_s: dict[str, list[float]] = {name: [] for name in ENDS}
     late: dict[str, list[Late]] = {name: [] for name in ENDS}
     start_ns = int(finished.get("start_ns", 0))

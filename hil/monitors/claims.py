@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Generic, TypeVar
-
-Who = TypeVar("Who")
+from typing import Any
 
 _INSTANTS = ("lease_end_ns", "until_ns")
 
@@ -23,26 +21,26 @@ def in_world_time(record: Mapping[str, Any], offset_ns: int) -> Mapping[str, Any
     return {**record, **moved} if moved else record
 
 
-class Claims(Generic[Who]):
+class Claims:
     """The newest claim of each. Instants are of the world's clock."""
 
     def __init__(self) -> None:
-        self._until_s: dict[Who, float] = {}
+        self._until_s: dict[str, float] = {}
 
-    def note(self, who: Who, record: Mapping[str, Any]) -> None:
+    def note(self, who: str, record: Mapping[str, Any]) -> None:
         """A ``/responsibility`` record."""
         self.drop(who)
         if record["responsible"]:
             until_ns = record["until_ns"]
             self._until_s[who] = math.inf if until_ns is None else until_ns * 1e-9
 
-    def drop(self, who: Who) -> None:
+    def drop(self, who: str) -> None:
         self._until_s.pop(who, None)
 
-    def holds(self, who: Who, now_s: float) -> bool:
+    def holds(self, who: str, now_s: float) -> bool:
         """True when one's claim holds at an instant."""
         return now_s < self._until_s.get(who, -math.inf)
 
-    def holders(self, now_s: float) -> tuple[Who, ...]:
+    def holders(self, now_s: float) -> tuple[str, ...]:
         """Return those whose claim holds at an instant."""
         return tuple(who for who, until_s in self._until_s.items() if now_s < until_s)

@@ -43,7 +43,7 @@ class LeaseMonitor:
     gap_s: float | None = None
     _highest: dict[Role, int] = field(default_factory=lambda: dict.fromkeys(Role, 0))
     _duty: dict[Role, str] = field(default_factory=lambda: dict.fromkeys(Role, ""))
-    _claims: Claims[Role] = field(default_factory=Claims[Role])
+    _claims: Claims = field(default_factory=Claims)
     _lease: _Lease | None = None
     _awaited: bool = False
     _died: bool = False  # the sender, since the newest COMMIT that it lived to log

@@ -1,5 +1,5 @@
-"""Safety monitors of a run: they see truth and every decision of both roles, and count what must
-never happen.
+"""Safety monitors of a run: they see truth and every decision of its drones, and count what must
+never happen. A pair's are those of two drones and one leg.
 
 Records are those the roles log; a monitor recomputes from them and believes no role's own count.
 """
@@ -10,16 +10,16 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
-from flight.config import GuardConfig
+from flight.config import GuardConfig, MissionConfig
 from hil.autopilot.values import OffboardSession
 from hil.monitors.agreed_pairs import PairsAtPaces
 from hil.monitors.claims import Claims
-from hil.monitors.leases import LeaseMonitor
+from hil.monitors.leases import LeaseMonitor, Violated
 from hil.monitors.scripts import ScriptMonitor
 from hil.monitors.setpoints import SetpointGap, detail_of
-from hil.world.distances import LEAST_M
+from hil.world.distances import LEAST_M, Nearness
 from path.config import MethodConfig
 from path.messages import Role
 from path.protocol.values import ProtocolConfig
@@ -32,10 +32,52 @@ OF_THE_RECORD = frozenset({"S1", "S2", "S3", "S4", "S5", "L1", "L2"})
 
 
 @dataclass(slots=True)
-class Monitors:
-    """S1 to S10, L1 and L2. Stamps are of the world's clock.
+class LegMonitor:
+    """S5 and S6, and S2, S3, S4, L1 and L2 in ``leases``, of one hand-over by its drones' records."""
 
-    S1, S5, S6, S8 and S9 are here; S2, S3, S4, L1 and L2 in ``leases``; S7 and S10 in ``scripts``.
+    number: int
+    roles: Mapping[str, Role]
+    method: MethodConfig
+    violated: Violated
+    leases: LeaseMonitor
+    _agreed: PairsAtPaces = field(init=False)
+    _committed: set[int] = field(default_factory=set[int])
+
+    def __post_init__(self) -> None:
+        self._agreed = PairsAtPaces(self.method)
+
+    def on_record(self, who: str, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        if topic == "/agreement":
+            self._on_agreement(stamp_w_ns, record)
+        elif topic in LEASES:
+            self.leases.on_record(self.roles[who], topic, stamp_w_ns, record)
+            if topic == "/commit":
+                self._on_commit(stamp_w_ns, record)
+
+    def _on_agreement(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        if not record["agreed"]:
+            if record["counted"]:
+                self._agreed.missed(record)
+            return
+        wrong = self._agreed.agreed(record)
+        if wrong is not None:
+            self.violated("S6", stamp_w_ns * 1e-9, wrong)
+
+    def _on_commit(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        if record["epoch"] in self._committed:  # said again, until it is answered
+            return
+        self._committed.add(record["epoch"])
+        agreed = self._agreed
+        if not ((record["target_id"], record["epoch"]) == agreed.about and agreed.full):
+            what = f"commit to target {record['target_id']} after {agreed}"
+            self.violated("S5", stamp_w_ns * 1e-9, what)
+
+
+@dataclass(slots=True)
+class Monitors:
+    """S1 to S11, L1 and L2, of drones by name. Stamps are of the world's clock.
+
+    S1, S8 and S9 are here; S7, S10 and S11 in ``scripts``; the others in the monitors of the legs.
 
     Attributes:
         stalls: a program is made to stand still: the bounds in time of programs that run are then
@@ -53,62 +95,76 @@ class Monitors:
     violations: Counter[str] = field(default_factory=Counter[str])
     details: list[str] = field(default_factory=list[str])
     closest_m: float = math.inf
+    closest_pair: tuple[str, ...] = ()
     stalls: bool = False
     forgotten: bool = False
     beyond: list[str] = field(default_factory=list[str])
     gaps: list[SetpointGap] = field(default_factory=list[SetpointGap])
-    _claims: Claims[Role] = field(default_factory=Claims[Role])
-    _too_close: bool = False
-    _too_close_to_target: bool = False
-    _agreed: PairsAtPaces = field(init=False)
-    _committed: set[int] = field(default_factory=set[int])
-
-    leases: LeaseMonitor = field(init=False)
+    claims: Claims = field(default_factory=Claims)
     scripts: ScriptMonitor = field(init=False)
+    legs: list[LegMonitor] = field(default_factory=list[LegMonitor])
+    # the newest of each drone
+    _legs: dict[str, LegMonitor] = field(default_factory=dict[str, LegMonitor])
+    _near: set[tuple[str, ...]] = field(default_factory=set[tuple[str, ...]])
+    _too_close_to_target: bool = False
 
     def __post_init__(self) -> None:
-        self._agreed = PairsAtPaces(self.method)
-        self.leases = LeaseMonitor(self._violated, self.protocol)
-        self.scripts = ScriptMonitor(self._violated, self.guard)
+        self.scripts = ScriptMonitor(self.violated, self.guard)
 
-    def on_record(self, role: Role, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
-        """One record of a role's log."""
+    @classmethod
+    def of_pair(cls, method: MethodConfig, mission: MissionConfig | None = None) -> Self:
+        """Return those of a pair, which are called by their roles."""
+        mission = mission or MissionConfig()
+        protocol = ProtocolConfig.of_clocks(mission.clock_uncertainty_s)
+        made = cls(method, mission.separation.minimum_m, mission.guard, protocol)
+        made.on_leg(1, *Role)
+        return made
+
+    def on_leg(self, number: int, sender: str, receiver: str) -> None:
+        """Two drones begin a hand-over."""
+
+        def violated(name: str, time_s: float, what: str) -> None:
+            self.violated_in(number, name, time_s, what)
+
+        roles = {sender: Role.SENDER, receiver: Role.RECEIVER}
+        leases = LeaseMonitor(violated, self.protocol)
+        leg = LegMonitor(number, roles, self.method, violated, leases)
+        self._legs[sender] = self._legs[receiver] = leg
+        self.legs.append(leg)
+
+    def on_record(self, who: str, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        """One record of a drone's log."""
+        now_s = stamp_w_ns * 1e-9
+        if who in self._legs:
+            self._legs[who].on_record(who, topic, stamp_w_ns, record)
         if topic == "/frame":
-            self.scripts.on_frame(role, stamp_w_ns * 1e-9)
-        elif topic == "/agreement":
-            self._on_agreement(stamp_w_ns, record)
+            self.scripts.on_frame(who, now_s)
         elif topic == "/phase":
-            self.scripts.on_phase(role, stamp_w_ns * 1e-9, str(record["phase"]))
-        elif topic in LEASES:
-            self.leases.on_record(role, topic, stamp_w_ns, record)
-            if topic == "/responsibility":
-                self._on_responsibility(role, stamp_w_ns, record)
-            elif topic == "/commit":
-                self._on_commit(stamp_w_ns, record)
+            self.scripts.on_phase(who, now_s, str(record["phase"]))
+        elif topic == "/responsibility":
+            self._on_responsibility(who, now_s, record)
 
-    def on_death(self, role: Role) -> None:
+    def on_death(self, who: str) -> None:
         """Its program does not run any more: it does nothing, until it is started again and says
         what it is.
         """
-        self._claims.drop(role)
-        self.leases.on_death(role)
-        self.scripts.on_death(role)
+        self.claims.drop(who)
+        if who in self._legs:
+            leg = self._legs[who]
+            leg.leases.on_death(leg.roles[who])
+        self.scripts.on_death(who)
 
-    def on_truth(self, time_s: float, separation_m: float, both_in_air: bool) -> None:
-        """True distance between the two bodies (S9); each excursion below the minimum counts
+    def on_near(self, now_s: float, near: Nearness) -> None:
+        """True distances between bodies in the air (S9); each excursion below the minimum counts
         once.
         """
-        if not both_in_air:
-            return
-        self.closest_m = min(self.closest_m, separation_m)
-        too_close = separation_m < self.min_separation_m
-        if too_close and not self._too_close:
-            self._violated(
-                "S9",
-                time_s,
-                f"separation {separation_m:.2f} m is below {self.min_separation_m:.2f} m",
-            )
-        self._too_close = too_close
+        if near.closest_m < self.closest_m:
+            self.closest_m = near.closest_m
+            self.closest_pair = near.pair
+        for one, other, apart_m in near.too_near:
+            if (one, other) not in self._near:
+                self.violated("S9", now_s, f"{one} and {other} are {apart_m:.2f} m apart")
+        self._near = {(one, other) for one, other, _ in near.too_near}
 
     def on_target(self, time_s: float, nearest_m: float) -> None:
         """True distance in m from the target's body to a drone's in the air (S9); each time below
@@ -116,13 +172,11 @@ class Monitors:
         """
         too_close = nearest_m < LEAST_M
         if too_close and not self._too_close_to_target:
-            self._violated(
-                "S9", time_s, f"{nearest_m:.2f} m from the target, below {LEAST_M:.2f} m"
-            )
+            self.violated("S9", time_s, f"{nearest_m:.2f} m from the target, below {LEAST_M:.2f} m")
         self._too_close_to_target = too_close
 
     def on_offboard(
-        self, role: Role, sessions: Iterable[OffboardSession], cut_off_s: Sequence[float] = ()
+        self, who: str, sessions: Iterable[OffboardSession], cut_off_s: Sequence[float] = ()
     ) -> None:
         """Setpoint gaps of one vehicle (S8).
 
@@ -133,14 +187,14 @@ class Monitors:
         """
         for session in sessions:
             end_s = math.inf if session.end_s is None else session.end_s
-            gaps = [SetpointGap(role.value, *gap) for gap in session.long_gaps]
+            gaps = [SetpointGap(who, *gap) for gap in session.long_gaps]
             cut_off = any(session.start_s <= at_s <= end_s for at_s in cut_off_s)
             if cut_off:
                 self._on_cut_off(gaps, session.end_s is None)
                 continue
             for gap in gaps:
                 self.gaps.append(gap)
-                self._violated("S8", gap.from_s, detail_of(gap))
+                self.violated("S8", gap.from_s, detail_of(gap))
 
     def _on_cut_off(self, gaps: Sequence[SetpointGap], goes_on: bool) -> None:
         """The setpoints stopped through no fault of the script's: its vehicle is to hold and land
@@ -150,25 +204,23 @@ class Monitors:
             return
         longest = max(gaps, key=lambda gap: gap.long_s)
         if longest.long_s > MAX_FAILSAFE_S:
-            self._violated("S8", longest.from_s, detail_of(longest))
+            self.violated("S8", longest.from_s, detail_of(longest))
         elif goes_on:
-            self._violated(
+            self.violated(
                 "S8", longest.from_s, f"{longest.who}: no failsafe after the setpoints stopped"
             )
 
-    def on_forgotten(self, time_s: float, role: Role) -> None:
+    def on_forgotten(self, time_s: float, who: str) -> None:
         """A program that is started again finds an older record than it had written, or none."""
         self.forgotten = True
-        self.details.append(
-            f"at {time_s:.2f} s the {role.value}'s disk had lost what it said it had"
-        )
+        self.details.append(f"at {time_s:.2f} s the {who}'s disk had lost what it said it had")
 
     @property
     def broken(self) -> tuple[str, ...]:
         """The assumptions that were."""
         return (*(("stall",) if self.stalls else ()), *(("disk",) if self.forgotten else ()))
 
-    def _violated(self, name: str, time_s: float, what: str) -> None:
+    def violated(self, name: str, time_s: float, what: str) -> None:
         told = f"{name} at {time_s:.2f} s: {what}"
         if (self.stalls and name in OF_THE_AWAKE) or (self.forgotten and name in OF_THE_RECORD):
             self.beyond.append(told)
@@ -176,25 +228,15 @@ class Monitors:
         self.violations[name] += 1
         self.details.append(told)
 
-    def _on_responsibility(self, role: Role, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
-        self._claims.note(role, record)
-        if len(self._claims.holders(stamp_w_ns * 1e-9)) > 1:
-            self._violated("S1", stamp_w_ns * 1e-9, "two responsible drones")
+    def violated_in(self, leg: int, name: str, time_s: float, what: str) -> None:
+        """A monitor of a leg; a pair has one."""
+        del leg
+        self.violated(name, time_s, what)
 
-    def _on_agreement(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
-        if not record["agreed"]:
-            if record["counted"]:
-                self._agreed.missed(record)
-            return
-        wrong = self._agreed.agreed(record)
-        if wrong is not None:
-            self._violated("S6", stamp_w_ns * 1e-9, wrong)
+    def _on_responsibility(self, who: str, now_s: float, record: Mapping[str, Any]) -> None:
+        self.claims.note(who, record)
+        self._at_once(self.claims.holders(now_s), now_s)
 
-    def _on_commit(self, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
-        if record["epoch"] in self._committed:  # said again, until it is answered
-            return
-        self._committed.add(record["epoch"])
-        agreed = self._agreed
-        if not ((record["target_id"], record["epoch"]) == agreed.about and agreed.full):
-            what = f"commit to target {record['target_id']} after {agreed}"
-            self._violated("S5", stamp_w_ns * 1e-9, what)
+    def _at_once(self, holders: Sequence[str], now_s: float) -> None:
+        if len(holders) > 1:
+            self.violated("S1", now_s, f"responsible at once: {', '.join(sorted(holders))}")

@@ -13,38 +13,23 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.rig.parts import Rig, RoleRig
-from flight.config import MissionConfig
+from drivers.rig.parts import RoleRig
 from flight.harness.fleet import RelayConfig
 from flight.harness.relay import FieldSample, FlightTruth
 from flight.outcome import OBJECT_MONITOR
-from hil.harness.relay_world import RelayWorld
-from hil.monitors.claims import Claims
 from hil.monitors.monitors import Monitors
 from hil.monitors.observed import ObservedTime
-from hil.monitors.scripts import ScriptMonitor, VehicleTruth, pixel_of, vehicle_truth
-from hil.monitors.setpoints import SetpointGap
+from hil.monitors.scripts import VehicleTruth, pixel_of, vehicles_of
 from hil.world.fields import NUMBERS
 from hil.world.snapshot import DroneTruth, ObjectTruth
-from path.messages import Role
+from hil.world.world import Fleet
 from path.protocol.bounds import gap_bound_s
-from path.protocol.values import ProtocolConfig
 
 Seen = tuple[Mapping[str, DroneTruth], Sequence[ObjectTruth]]
 LOOK_S = 0.5  # at the object that the responsible drone has
-
-
-@dataclass(slots=True)
-class WatchedLeg:
-    """Two drones, and the monitors of their hand-over."""
-
-    number: int
-    roles: dict[str, Role]
-    monitors: Monitors
 
 
 @dataclass(slots=True)
@@ -55,33 +40,23 @@ class _WatchedFlight:
 
 
 @dataclass(slots=True)
-class RelayMonitors:
+class RelayMonitors(Monitors):
     """Stamps are of the world's clock. ``on_truth`` is to be called often while drones are in the
     air.
 
     Attributes:
+        own: how each drone truly is.
         seen: drones and objects at a time of the world's clock, for records that are older than the
             world's present.
     """
 
-    rig: Rig
-    config: RelayConfig
-    mission: MissionConfig
-    world: RelayWorld
-    own: Mapping[str, RoleRig]
-    violations: Counter[str] = field(default_factory=Counter[str])
-    details: list[str] = field(default_factory=list[str])
+    config: RelayConfig = field(kw_only=True)
+    world: Fleet = field(kw_only=True)
+    own: Mapping[str, RoleRig] = field(kw_only=True)
+    targets: int = field(default=1, kw_only=True)
     flown: list[FlightTruth] = field(default_factory=list[FlightTruth])
-    gaps_s: dict[int, float] = field(default_factory=dict[int, float])
-    closest_m: float = math.inf
-    closest_pair: tuple[str, ...] = ()
     samples: list[FieldSample] = field(default_factory=list[FieldSample])
-    claims: Claims[str] = field(default_factory=Claims[str])
-    scripts: ScriptMonitor = field(init=False)
-    members: Mapping[str, Enum] = field(init=False)
-    setpoint_gaps: list[SetpointGap] = field(default_factory=list[SetpointGap])
     seen: Callable[[float], Seen] | None = None
-    targets: int = 1
     watched_until_s: float = math.inf  # the team is called home then
     observed: list[ObservedTime] = field(init=False)
     bytes_sent: Counter[str] = field(default_factory=Counter[str])
@@ -93,44 +68,27 @@ class RelayMonitors:
     # leg, and bytes in it
     _sent: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
     _truth_s: float | None = None
-    _legs: dict[str, WatchedLeg] = field(default_factory=dict[str, WatchedLeg])
-    _all_legs: list[WatchedLeg] = field(default_factory=list[WatchedLeg])
     _flights: dict[str, _WatchedFlight] = field(default_factory=dict[str, _WatchedFlight])
     # by target, since when nobody is
     _alone_s: dict[int, float] = field(default_factory=dict[int, float])
-    _near: set[tuple[str, ...]] = field(default_factory=set[tuple[str, ...]])
     _looked_s: dict[str, float] = field(default_factory=dict[str, float])
     _wrong: set[str] = field(default_factory=set[str])
 
     def __post_init__(self) -> None:
-        # made of the rig's names
-        drones: Any = Enum("Drone", {name: name for name in self.world.names})
-        self.members = drones.__members__
-        self.scripts = ScriptMonitor(
-            self.violated, self.mission.guard, tuple(self.members.values())
-        )
+        Monitors.__post_init__(self)  # with slots there is no super() here
         self.observed = [ObservedTime() for _ in range(self.targets)]
 
-    @property
-    def _protocol(self) -> ProtocolConfig:
-        return ProtocolConfig.of_clocks(self.mission.clock_uncertainty_s)
-
-    def violated(self, name: str, time_s: float, what: str) -> None:
-        self.violations[name] += 1
-        self.details.append(f"{name} at {time_s:.2f} s: {what}")
+    def violated_in(self, leg: int, name: str, time_s: float, what: str) -> None:
+        if name != "L2":  # of all drones that are on a target
+            self.violated(name, time_s, f"leg {leg}: {what}")
 
     # --- told by the harness ---
 
     def on_leg(self, number: int, sender: str, receiver: str) -> None:
-        mission = self.mission
-        least_m = mission.separation.minimum_m
-        monitors = Monitors(self.rig.method, least_m, mission.guard, self._protocol)
-        leg = WatchedLeg(number, {sender: Role.SENDER, receiver: Role.RECEIVER}, monitors)
-        self._legs[sender] = self._legs[receiver] = leg
-        self._all_legs.append(leg)
-        self._on[receiver] = self.on_target(sender)
+        Monitors.on_leg(self, number, sender, receiver)
+        self._on[receiver] = self.target_of(sender)
 
-    def on_target(self, name: str) -> int:
+    def target_of(self, name: str) -> int:
         """Return the target that a drone is on."""
         return self._on.get(name, 0)
 
@@ -160,54 +118,22 @@ class RelayMonitors:
                 FlightTruth(name, flight.began_s, now_s, min(flight.battery, autopilot.battery))
             )
 
-    def on_offboard(self, name: str, cut_off_s: list[float]) -> None:
-        """S8 of one flight, before its autopilot is started anew."""
-        judge = Monitors(self.rig.method, 0.0)
-        judge.on_offboard(
-            Role.SENDER, self.world.drone(name).autopilot.offboard_sessions, cut_off_s
-        )
-        self.setpoint_gaps += [replace(gap, who=name) for gap in judge.gaps]
-        for detail in judge.details:
-            self.violations["S8"] += 1
-            self.details.append(detail.replace(Role.SENDER.value, name))
+    def on_death(self, who: str) -> None:
+        Monitors.on_death(self, who)
+        self._alone_s.pop(self.target_of(who), None)
 
-    def on_death(self, name: str) -> None:
-        if name in self._legs:
-            leg = self._legs[name]
-            leg.monitors.on_death(leg.roles[name])
-        self.scripts.on_death(self.members[name])
-        self.claims.drop(name)
-        self._alone_s.pop(self.on_target(name), None)
-
-    def on_record(self, name: str, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
-        now_s = stamp_w_ns * 1e-9
-        member = self.members[name]
-        leg = self._legs.get(name)
-        if leg is not None:
-            leg.monitors.on_record(leg.roles[name], topic, stamp_w_ns, record)
-        if topic == "/frame":
-            self.scripts.on_frame(member, now_s)
-        elif topic == "/phase":
-            self.scripts.on_phase(member, now_s, str(record["phase"]))
-        elif topic == "/responsibility":
-            self._on_responsibility(name, now_s, record)
-        elif topic in ("/target", "/track"):
-            self._on_box(name, now_s, record["box"])
-        elif topic == "/link" and leg is not None:
-            self._on_traffic(name, leg.number, int(record["bytes_sent"]))
+    def on_record(self, who: str, topic: str, stamp_w_ns: int, record: Mapping[str, Any]) -> None:
+        Monitors.on_record(self, who, topic, stamp_w_ns, record)
+        if topic in ("/target", "/track"):
+            self._on_box(who, stamp_w_ns * 1e-9, record["box"])
+        elif topic == "/link" and who in self._legs:
+            self._on_traffic(who, self._legs[who].number, int(record["bytes_sent"]))
 
     # --- truth ---
 
     def on_truth(self, now_s: float) -> None:
         world = self.world
-        near = world.closest(self.mission.separation.minimum_m)
-        if near.closest_m < self.closest_m:
-            self.closest_m = near.closest_m
-            self.closest_pair = near.pair
-        for one, other, apart_m in near.too_near:
-            if (one, other) not in self._near:
-                self.violated("S9", now_s, f"{one} and {other} are {apart_m:.2f} m apart")
-        self._near = {(one, other) for one, other, _ in near.too_near}
+        self.on_near(now_s, world.closest(self.min_separation_m))
         since_s = now_s - (now_s if self._truth_s is None else self._truth_s)
         self._truth_s = now_s
         for name in world.airborne:
@@ -231,23 +157,17 @@ class RelayMonitors:
             for observed in self.observed:
                 observed.tick(now_s)
 
-    def on_vehicles(self, now_s: float, vehicles: Mapping[Enum, VehicleTruth]) -> None:
+    def on_vehicles(self, now_s: float, vehicles: Mapping[str, VehicleTruth]) -> None:
         """S7 and S10, when the records up to then are known; seldom is enough."""
-        groups: dict[int, list[Enum]] = {}
-        for name, member in self.members.items():
-            if member in vehicles:
-                groups.setdefault(self.on_target(name), []).append(member)
+        groups: dict[int, list[str]] = {}
+        for name in self.world.names:
+            if name in vehicles:
+                groups.setdefault(self.target_of(name), []).append(name)
         self.scripts.on_truth(now_s, vehicles, groups.values())
 
-    def vehicles(self) -> dict[Enum, VehicleTruth]:
+    def vehicles(self) -> dict[str, VehicleTruth]:
         """The truth about those that are switched on, now."""
-        world = self.world
-        return {
-            self.members[name]: vehicle_truth(
-                world.drone(name).autopilot, world.truth_of(name), self.own[name], world.target(self.on_target(name))
-            )
-            for name in world.names if name in world.on
-        }  # fmt: skip
+        return vehicles_of(self.world, self.own, self.target_of)
 
     def sample(self, now_s: float, batteries: tuple[float, ...], airborne: tuple[str, ...]) -> None:
         self.samples.append(
@@ -257,13 +177,13 @@ class RelayMonitors:
         )
 
     def findings(self) -> dict[str, Any]:
-        """Return what was seen, after ``close``, as fields of a
-        ``flight.harness.relay.RelayReport``.
-        """
+        """Return what was seen, as fields of a ``flight.harness.relay.RelayReport``."""
         return {
             "violations": dict(self.violations),
             "notes": tuple(self.details),
-            "gaps_s": dict(self.gaps_s),
+            "gaps_s": {
+                leg.number: gap_s for leg in self.legs if (gap_s := leg.leases.gap_s) is not None
+            },
             "flown": tuple(self.flown),
             "samples": tuple(self.samples),
             "closest_m": self.closest_m if math.isfinite(self.closest_m) else math.nan,
@@ -272,22 +192,6 @@ class RelayMonitors:
             "bytes_sent": dict(self.bytes_sent),
             "aloft_s": dict(self.aloft_s),
         }
-
-    def close(self) -> None:
-        """The relay is over: what the legs' monitors found counts."""
-        for leg in self._all_legs:
-            # two of a leg that are responsible at once are already told of, and so is what S7 and
-            # S10 found
-            for name, count in leg.monitors.violations.items():
-                if name not in ("S1", "L2"):
-                    self.violations[name] += count
-            kept = [
-                detail for detail in leg.monitors.details if not detail.startswith(("S1 ", "L2 "))
-            ]
-            self.details += [f"leg {leg.number}: {detail}" for detail in kept]
-            gap_s = leg.monitors.leases.gap_s
-            if gap_s is not None:
-                self.gaps_s[leg.number] = gap_s
 
     def _on_traffic(self, name: str, leg: int, sent: int) -> None:
         """A link counts from its opening; each leg has one of its own."""
@@ -298,26 +202,25 @@ class RelayMonitors:
 
     def _holders(self, target: int, now_s: float) -> tuple[str, ...]:
         """The drones that are responsible for a target."""
-        return tuple(name for name in self.claims.holders(now_s) if self.on_target(name) == target)
+        return tuple(name for name in self.claims.holders(now_s) if self.target_of(name) == target)
 
-    def _on_responsibility(self, name: str, now_s: float, record: Mapping[str, Any]) -> None:
-        before = self.claims.holds(name, now_s)
-        target = self.on_target(name)
-        self.claims.note(name, record)
+    def _on_responsibility(self, who: str, now_s: float, record: Mapping[str, Any]) -> None:
+        before = self.claims.holds(who, now_s)
+        target = self.target_of(who)
+        self.claims.note(who, record)
         holders = self._holders(target, now_s)
         if not record["responsible"]:
             if before:
-                self._before[target] = name
+                self._before[target] = who
                 self._alone_s.pop(target, None)
                 if not holders:
                     self._alone_s[target] = now_s
             return
         self.observed[target].acquired(now_s)
-        if len(holders) > 1:
-            self.violated("S1", now_s, f"responsible at once: {', '.join(sorted(holders))}")
+        self._at_once(holders, now_s)
         if target in self._alone_s:
             alone_s = now_s - self._alone_s.pop(target)
-            bound_s = gap_bound_s(self._protocol)
+            bound_s = gap_bound_s(self.protocol)
             if alone_s > bound_s:
                 self.violated(
                     "L2",
@@ -331,7 +234,7 @@ class RelayMonitors:
         """
         if box is None or now_s - self._looked_s.get(name, -LOOK_S) < LOOK_S:
             return
-        target = self.on_target(name)
+        target = self.target_of(name)
         responsible = self.claims.holds(name, now_s)
         if not responsible and not (target in self._alone_s and self._before.get(target) == name):
             return

@@ -16,19 +16,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
-from typing import Any
 
 import numpy as np
 
 from drivers.interfaces import FlightMode
-from drivers.rig.parts import Rig, RoleRig
+from drivers.rig.parts import RoleRig
 from flight.config import GuardConfig
 from flight.phases import Phase
 from hil.autopilot.autopilot import Autopilot
 from hil.world.snapshot import DroneTruth, ObjectTruth
-from hil.world.world import World
-from path.messages import Role, Vec3
+from hil.world.world import Fleet
+from path.messages import Vec3
 from path.values import frozen
 
 Violated = Callable[[str, float, str], None]
@@ -77,56 +75,51 @@ class ScriptMonitor:
 
     violated: Violated
     guard: GuardConfig = field(default_factory=GuardConfig)
-    drones: Iterable[Enum] = Role
-    _phase: dict[Enum, str] = field(init=False)
-    _looked_s: dict[Enum, float] = field(init=False)
-    _since_s: dict[tuple[str, Enum], float] = field(default_factory=dict[tuple[str, Enum], float])
-    _mode: dict[Enum, FlightMode] = field(default_factory=dict[Enum, FlightMode])  # a pilot's
+    _phase: dict[str, str] = field(default_factory=dict[str, str])
+    _looked_s: dict[str, float] = field(default_factory=dict[str, float])
+    _since_s: dict[tuple[str, str], float] = field(default_factory=dict[tuple[str, str], float])
+    _mode: dict[str, FlightMode] = field(default_factory=dict[str, FlightMode])  # a pilot's
     _told: set[str] = field(default_factory=set[str])
 
-    def __post_init__(self) -> None:
-        self._phase = dict.fromkeys(self.drones, "")
-        self._looked_s = dict.fromkeys(self.drones, 0.0)
+    def on_phase(self, who: str, now_s: float, phase: str) -> None:
+        if phase in WATCHING and self._phase.get(who) not in WATCHING:
+            self._looked_s[who] = now_s  # from here on it has to
+        self._phase[who] = phase
 
-    def on_phase(self, role: Enum, now_s: float, phase: str) -> None:
-        if phase in WATCHING and self._phase[role] not in WATCHING:
-            self._looked_s[role] = now_s  # from here on it has to
-        self._phase[role] = phase
+    def on_frame(self, who: str, now_s: float) -> None:
+        self._looked_s[who] = now_s
 
-    def on_frame(self, role: Enum, now_s: float) -> None:
-        self._looked_s[role] = now_s
-
-    def on_death(self, role: Enum) -> None:
-        self._phase[role] = ""
+    def on_death(self, who: str) -> None:
+        self._phase.pop(who, None)
 
     def on_truth(
         self,
         now_s: float,
-        vehicles: Mapping[Any, VehicleTruth],
-        together: Iterable[Iterable[Any]] | None = None,
+        vehicles: Mapping[str, VehicleTruth],
+        together: Iterable[Iterable[str]] | None = None,
     ) -> None:
         """``together``: those that are on one target; all when it is not said."""
         for group in (vehicles,) if together is None else together:
-            self._observed(now_s, {role: vehicles[role] for role in group})
-        for role, vehicle in vehicles.items():
-            self._obeyed(role, now_s, vehicle)
-            self._clear_of_walls(role, now_s, vehicle)
+            self._observed(now_s, {who: vehicles[who] for who in group})
+        for who, vehicle in vehicles.items():
+            self._obeyed(who, now_s, vehicle)
+            self._clear_of_walls(who, now_s, vehicle)
 
-    def _observed(self, now_s: float, vehicles: Mapping[Any, VehicleTruth]) -> None:
+    def _observed(self, now_s: float, vehicles: Mapping[str, VehicleTruth]) -> None:
         """S7."""
-        watching = [role for role in vehicles if self._phase[role] in WATCHING]
-        seen = any(vehicles[role].sees_target for role in watching)
-        if not seen or any(now_s - self._looked_s[role] <= LOOKS_S for role in watching):
+        watching = [who for who in vehicles if self._phase.get(who) in WATCHING]
+        seen = any(vehicles[who].sees_target for who in watching)
+        if not seen or any(now_s - self._looked_s.get(who, 0.0) <= LOOKS_S for who in watching):
             return
         self._once("S7", now_s, "a camera has the target in its image, and nobody looks")
 
-    def _clear_of_walls(self, role: Enum, now_s: float, vehicle: VehicleTruth) -> None:
+    def _clear_of_walls(self, who: str, now_s: float, vehicle: VehicleTruth) -> None:
         """S11, as far as a site has walls."""
         north, east, _ = vehicle.position_n_m
         if self.guard.fence().room_m(north, east) < BODY_M:
-            self._once("S11", now_s, f"{role.value} touches a wall of the site")
+            self._once("S11", now_s, f"{who} touches a wall of the site")
 
-    def _obeyed(self, role: Enum, now_s: float, vehicle: VehicleTruth) -> None:
+    def _obeyed(self, who: str, now_s: float, vehicle: VehicleTruth) -> None:
         """S10."""
         north, east, down = vehicle.position_n_m
         limit = self.guard
@@ -142,22 +135,21 @@ class ScriptMonitor:
         }
         for reason, rules in ruled.items():
             if not rules:
-                self._since_s.pop((reason, role), None)
+                self._since_s.pop((reason, who), None)
                 if reason == "pilot":
-                    self._mode.pop(role, None)
+                    self._mode.pop(who, None)
                 continue
-            since_s = self._since_s.setdefault((reason, role), now_s)
+            since_s = self._since_s.setdefault((reason, who), now_s)
             if now_s - since_s > NOTICED_S:
-                self._after(reason, role, since_s, now_s, vehicle)
+                self._after(reason, who, since_s, now_s, vehicle)
 
     def _after(
-        self, reason: str, role: Enum, since_s: float, now_s: float, vehicle: VehicleTruth
+        self, reason: str, who: str, since_s: float, now_s: float, vehicle: VehicleTruth
     ) -> None:
-        who = role.value
         if reason == "pilot":
             if vehicle.setpoint_s > since_s + NOTICED_S:
                 self._once("S10", now_s, f"the {who}'s script sends setpoints to a pilot's vehicle")
-            mode = self._mode.setdefault(role, vehicle.mode)
+            mode = self._mode.setdefault(who, vehicle.mode)
             if (
                 vehicle.mode not in (mode, vehicle.pilots_mode)
                 and not vehicle.failsafe
@@ -182,11 +174,7 @@ class ScriptMonitor:
                     now_s,
                     f"the {who}'s script flies on against its autopilot: {vehicle.failsafe}",
                 )
-        elif (
-            vehicle.mode is FlightMode.OFFBOARD
-            and self._phase[role] not in ENDING
-            and self._phase[role]
-        ):
+        elif vehicle.mode is FlightMode.OFFBOARD and self._phase.get(who, "") not in ("", *ENDING):
             self._once("S10", now_s, f"the {who}'s mission goes on against its limit: {reason}")
 
     def _once(self, name: str, now_s: float, what: str) -> None:
@@ -195,12 +183,24 @@ class ScriptMonitor:
             self.violated(name, now_s, what)
 
 
-def vehicles_of(world: World, rig: Rig) -> dict[Role, VehicleTruth]:
-    """The truth about both vehicles, now."""
-    snapshot = world.snapshot()
+def vehicles_of(
+    world: Fleet, own: Mapping[str, RoleRig], target_of: Callable[[str], int] = lambda _: 0
+) -> dict[str, VehicleTruth]:
+    """The truth about the vehicles that are switched on, now.
+
+    Args:
+        own: how each drone truly is.
+        target_of: the number of the target that a drone is on.
+    """
     return {
-        role: vehicle_truth(world.drone(role).autopilot, drone, rig.role(role), snapshot.objects[0])
-        for role, drone in snapshot.drones.items()
+        name: vehicle_truth(
+            world.drone(name).autopilot,
+            world.truth_of(name),
+            own[name],
+            world.target(target_of(name)),
+        )
+        for name in world.names
+        if name in world.on
     }
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Generic
+from typing import Any
 
 from drivers.interfaces import Frame, FrameLog, Log
 from flight.harness.relay import OFTEN
-from hil.monitors.claims import Who, in_world_time
+from hil.monitors.claims import in_world_time
 from hil.monitors.monitors import LEASES
 
 
-class WatchedLog(Generic[Who]):
+class WatchedLog:
     """
     Args:
         log: where it goes; of what comes ``OFTEN`` only when ``whole``.
@@ -20,7 +20,7 @@ class WatchedLog(Generic[Who]):
     """
 
     def __init__(
-        self, log: Log, who: Who, heard: Callable[[Who, str, int, Mapping[str, Any]], None], offset_ns: int,
+        self, log: Log, who: str, heard: Callable[[str, str, int, Mapping[str, Any]], None], offset_ns: int,
         whole: bool = True,
     ) -> None:  # fmt: skip
         self._log = log

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, NoReturn, Protocol
+from typing import NoReturn, Protocol
 
 from hil.world.world import Fleet
 
@@ -17,7 +17,7 @@ class Pumped(Protocol):
     def pump(self, now_s: float, /) -> None: ...
 
 
-def run_alone(world: Fleet[Any], vehicles: Sequence[Pumped]) -> NoReturn:
+def run_alone(world: Fleet, vehicles: Sequence[Pumped]) -> NoReturn:
     """Step the world at the clock's pace, until Ctrl-C."""
     start_s = time.monotonic()
     steps = 0

@@ -8,12 +8,14 @@ that are far apart.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from hil.world.snapshot import TargetKind
-from hil.world.world import World
 from path.arrays import Array
-from path.messages import Role
 from path.values import frozen
+
+if TYPE_CHECKING:
+    from hil.world.world import Fleet  # which asks how near its drones are to each other
 
 FEW = 8  # bodies, which are compared without a tree
 # Half width, half height and height of the middle above the frame's origin, m.
@@ -25,7 +27,7 @@ DRONE_M = 0.16  # around the middle of a body
 LEAST_M = 0.4  # between the bodies
 
 
-def clearance(world: World) -> float:
+def clearance(world: Fleet) -> float:
     """Return the least distance between the target's body and that of a drone in the air, m;
     infinite without any.
 
@@ -39,10 +41,10 @@ def clearance(world: World) -> float:
     high_m = higher * body[1]
     middle_m = higher * body[2]
     nearest_m = math.inf
-    for drone in (world.drone(role) for role in Role):
+    for drone in map(world.drone, world.names):
         if not drone.on_ground:
             north, east, down = drone.true_position_n_m
-            x, y, z = world.snapshot().objects[0].position_w_m
+            x, y, z = world.target().position_w_m
             across = max(0.0, math.hypot(x - east, y - north) - half_m)
             above = max(0.0, abs(-down - z - middle_m) - high_m)
             nearest_m = min(nearest_m, math.hypot(across, above) - DRONE_M)

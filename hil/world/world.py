@@ -1,5 +1,5 @@
-"""The truth: two drones with their autopilots, wind, the target and its look-alikes, and the faults
-of the world.
+"""The truth: any number of drones with their autopilots, wind, targets and their look-alikes, and
+the faults of the world. A pair is a fleet of two.
 
 Physics runs in fixed steps on a grid of its own and the autopilots on every fourth of them, so that
 how often and how finely ``advance`` is called changes nothing. Random numbers come from one stream
@@ -11,16 +11,19 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from drivers.interfaces import FlightMode
+from flight.harness.fleet import NamedTarget
 from hil.autopilot.autopilot import Autopilot, Estimate
+from hil.autopilot.radio import CENTRED
 from hil.world.config import HomeConfig, PositionOffsetConfig, WorldConfig
 from hil.world.detector import measured_on
+from hil.world.distances import Nearness, nearness
 from hil.world.dynamics import (
     COMMAND_SIZE,
     CONTACT,
@@ -34,9 +37,9 @@ from hil.world.dynamics import (
     standing,
 )
 from hil.world.estimator import Sensors
+from hil.world.fields import TargetField
 from hil.world.rangefinder import SimRangefinder
-from hil.world.snapshot import DroneTruth, Snapshot
-from hil.world.targets import GroundVehicles, Point
+from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.geometry.transforms import Pose
 from path.messages import Quat, Role, Vec3
 
@@ -44,8 +47,11 @@ STEP_HZ = 200
 STEPS_PER_TICK = 4
 TICK_S = STEPS_PER_TICK / STEP_HZ
 TELEMETRY_TICKS = 128
-
-Name = TypeVar("Name", bound=Hashable)
+PILOT_LANDS_S = 15.0  # after he took a drone over he lands it where it is
+# before that, of the sticks: moved while it lands they would take it out of its landing
+LETS_GO_S = 2.0
+OWN = Role.RECEIVER
+OTHER = Role.SENDER
 
 
 class VehicleTelemetry(NamedTuple):
@@ -156,27 +162,51 @@ class SimDrone:
         return MOTORS_FLY, *command.velocity_n_mps, command.yaw_rad
 
 
-class Fleet(Generic[Name]):
+class Fleet:
     """Drones by name with their autopilots, and the traffic on the ground.
 
-    All is a function of the seed and of what the autopilots are told.
+    All is a function of the seed and of what the autopilots are told. What is off stands at its
+    home and costs nothing.
+
+    Args:
+        off: NED errors of positions besides the estimators'.
+        targets: none for the one of ``config``.
+        on: whether all drones are switched on from the start.
     """
 
     def __init__(
         self,
         config: WorldConfig,
         seed: int,
-        homes: Mapping[Name, HomeConfig],
-        off: Mapping[Name, Vec3],
+        homes: Mapping[str, HomeConfig],
+        off: Mapping[str, Vec3] | None = None,
+        targets: Sequence[NamedTarget] = (),
+        *,
+        on: bool = True,
     ) -> None:
-        """``off``: NED errors of positions besides the estimators'. Raises ValueError when the
-        objects do not fit.
-        """
+        """Raise ValueError when the objects do not fit."""
         self.config = config
         traffic, sensors, autopilots = np.random.SeedSequence(seed).spawn(3)
-        keep_clear = [home.position_m for home in homes.values()]
-        self._place_traffic(keep_clear, traffic)
+        self._traffic = TargetField(
+            config.target,
+            config.look_alikes,
+            [(each.place_m, each.named_at_s) for each in targets] or [(config.target.start_m, 0.0)],
+            [home.position_m for home in homes.values()],
+            traffic.spawn(len(targets)) if targets else [traffic],
+        )
         self._traffic_began_s = 0.0
+        off = off or {}
+        self._homes = homes
+        self._rows = {name: row for row, name in enumerate(homes)}
+        self.on = set(homes) if on else set[str]()
+        self._seeds = np.random.SeedSequence([seed, 0x52454C]).spawn(len(homes))
+        self._boots = dict.fromkeys(homes, 0)
+        self._truths: dict[str, DroneTruth] = {}
+        # the rows of those in the air, once they were asked for
+        self._aloft: list[int] | None = None
+        self._covered: set[str] = set()  # whose markers are
+        self._no_depth: set[str] = set()  # whose depth cameras measure nothing on objects
+        self._pilot_lands_s: dict[str, float] = {}  # when, of drones that a pilot took over
         estimator = config.estimator.times(config.errors.sizes)
         self._sensors = Sensors(config.wind, estimator, TICK_S, sensors.spawn(len(homes)))
         for i, name in enumerate(homes):
@@ -198,26 +228,40 @@ class Fleet(Generic[Name]):
             self._drones[name].down_off_m = down
         self._step = 0
         self._commanded_step = -1
-        self._marker_hidden = False
-        self._depth_holes = False
         self.detector = config.detector or measured_on(config.target.kind, config.scene.name)
         self.time_s = 0.0
         self._sense()
 
-    def _place_traffic(self, keep_clear: Sequence[Point], seed: np.random.SeedSequence) -> None:
-        """Raise ValueError when the objects do not fit."""
-        self._traffic = GroundVehicles(
-            self.config.target, self.config.look_alikes, keep_clear, seed
-        )
-
     @property
-    def names(self) -> tuple[Name, ...]:
+    def names(self) -> tuple[str, ...]:
         return tuple(self._drones)
 
-    def drone(self, name: Name) -> SimDrone:
+    def drone(self, name: str) -> SimDrone:
         return self._drones[name]
 
-    def landed(self, name: Name) -> bool:
+    def switch_on(self, name: str) -> None:
+        """Switch a drone on, with a position solution of its own that has not wandered yet."""
+        self._sensors.begin_anew(self._rows[name], self.config.estimator)
+        self._drones[name].telemetry.clear()
+        self.on.add(name)
+
+    def swap(self, name: str, battery: float = 1.0) -> None:
+        """Put a drone at its home, with a battery of that charge, off; its autopilot will start
+        anew.
+        """
+        row = self._rows[name]
+        self._boots[name] += 1
+        self._states[row] = at_home(self._homes[name], self.config.airframe.leg_m)
+        self._commands[row] = 0.0
+        entropy = (*self._seeds[row].generate_state(2), self._boots[name])
+        seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
+        self._drones[name].autopilot = Autopilot(self.config.autopilot, seed)
+        self.battery(name, battery)
+        self.on.discard(name)
+        self._pilot_lands_s.pop(name, None)
+        self.uncover(name)
+
+    def landed(self, name: str) -> bool:
         """Return whether a drone stands on the ground, disarmed."""
         drone = self._drones[name]
         return drone.on_ground and not drone.autopilot.armed
@@ -253,22 +297,103 @@ class Fleet(Generic[Name]):
             self._changed()
 
     def _sense(self) -> None:
-        rows = self._sensors.tick(self._states).tolist()
+        rows = self._sensors.tick(self._states)
         time_s = self._step / STEP_HZ
         altitude = self.config.altitude
-        for number, (drone, row) in enumerate(zip(self._drones.values(), rows, strict=True)):
-            drone.autopilot.altitude_error_m = altitude.error_m(number, time_s)
-            drone.sense(time_s, row)
+        for number, (name, drone) in enumerate(self._drones.items()):
+            if name in self.on:
+                drone.autopilot.altitude_error_m = altitude.error_m(number, time_s)
+                drone.sense(time_s, rows[number].tolist())
 
     def _command(self) -> None:
         self._commanded_step = self._step
-        for i, drone in enumerate(self._drones.values()):
-            self._commands[i] = drone.command(self._step / STEP_HZ)
+        now_s = self._step / STEP_HZ
+        if self._pilot_lands_s:
+            self._let_pilots_land(now_s)
+        for i, (name, drone) in enumerate(self._drones.items()):
+            if name in self.on:
+                self._commands[i] = drone.command(now_s)
+
+    def _let_pilots_land(self, now_s: float) -> None:
+        for name, at_s in list(self._pilot_lands_s.items()):
+            autopilot = self._drones[name].autopilot
+            if now_s >= at_s:
+                del self._pilot_lands_s[name]
+                autopilot.request_mode(now_s, FlightMode.LAND, by_pilot=True)
+            elif now_s >= at_s - LETS_GO_S:
+                autopilot.radio.transmitter.sticks = CENTRED
 
     def _changed(self) -> None:
         """Drop what was worked out of the truth before it changed."""
+        self._truths.clear()
+        self._aloft = None
 
-    def truths(self) -> dict[Name, DroneTruth]:
+    # --- truth ---
+
+    def truth_of(self, name: str) -> DroneTruth:
+        """Of one drone; most want one or two."""
+        truth = self._truths.get(name)
+        if truth is None:
+            row = self._rows[name]
+            (truth,) = self._truths_of(slice(row, row + 1), (self._drones[name],))
+            self._truths[name] = truth
+        return truth
+
+    @property
+    def all_objects(self) -> tuple[ObjectTruth, ...]:
+        """All around all targets."""
+        return self._traffic.all(self.traffic_s)
+
+    def objects_near(self, name: str) -> tuple[ObjectTruth, ...]:
+        """The objects that a drone may see."""
+        north, east, _ = self._drones[name].true_position_n_m
+        return self._traffic.near((east, north), self.traffic_s)
+
+    def target(self, number: int = 0) -> ObjectTruth:
+        return self._traffic.target(number, self.traffic_s)
+
+    @property
+    def airborne(self) -> tuple[str, ...]:
+        names = self.names
+        return tuple([names[row] for row in self._rows_aloft()])
+
+    def _rows_aloft(self) -> list[int]:
+        if self._aloft is None:
+            self._aloft = np.flatnonzero(self._states[:, CONTACT] == 0.0).tolist()
+        return self._aloft
+
+    def closest(self, within_m: float) -> Nearness:
+        """The distances between drones in the air, in truth."""
+        return nearness(self.airborne, self._states[self._rows_aloft(), :3], within_m)
+
+    @property
+    def batteries(self) -> tuple[float, ...]:
+        """The batteries in the order of ``names``."""
+        return tuple(round(drone.autopilot.battery, 4) for drone in self._drones.values())
+
+    def view(self, own: str, other: str | None) -> Snapshot:
+        """The truth at ``time_s`` as far as one drone is concerned, which is always the receiver to
+        its own parts: it sees the other drone's marker when there is another drone.
+        """
+        truth = self.truth_of
+        drones = {OWN: truth(own)} if other is None else {OTHER: truth(other), OWN: truth(own)}
+        return self._seen(
+            drones, self.objects_near(own), other in self._covered, own in self._no_depth
+        )
+
+    def _seen(
+        self,
+        drones: dict[Role, DroneTruth],
+        objects: tuple[ObjectTruth, ...],
+        marker_hidden: bool,
+        depth_holes: bool,
+    ) -> Snapshot:
+        target = self.config.target
+        return Snapshot(
+            self.time_s, drones, objects, marker_hidden, depth_holes, self.detector, target.kind, target.stretch
+        )  # fmt: skip
+
+    def truths(self) -> dict[str, DroneTruth]:
         """Of every drone at ``time_s``; between two physics steps they are carried on by their
         velocities.
         """
@@ -295,15 +420,25 @@ class Fleet(Generic[Name]):
 
     # --- faults ---
 
-    def hide_marker(self, hidden: bool) -> None:
-        """Cover the markers, or uncover them."""
-        self._marker_hidden = hidden
+    def hide_marker(self, name: str) -> None:
+        """Cover a drone's marker."""
+        self._covered.add(name)
         self._changed()
 
-    def depth_holes(self, holes: bool) -> None:
-        """Let the depth cameras measure nothing on objects, or let them see again."""
-        self._depth_holes = holes
+    def depth_holes(self, *names: str) -> None:
+        """Let the depth cameras of drones measure nothing on objects."""
+        self._no_depth.update(names)
         self._changed()
+
+    def uncover(self, *names: str) -> None:
+        """Let the markers and depth cameras of drones be as before."""
+        self._covered.difference_update(names)
+        self._no_depth.difference_update(names)
+        self._changed()
+
+    def pilot_lands(self, name: str) -> None:
+        """Let the pilot who takes a drone over land it, after a while."""
+        self._pilot_lands_s[name] = self.time_s + PILOT_LANDS_S
 
     def hold_traffic(self) -> None:
         """Keep everything on the ground where it begins until ``begin_traffic``."""
@@ -321,49 +456,45 @@ class Fleet(Generic[Name]):
         return max(0.0, self.time_s - self._traffic_began_s)
 
     def degrade_detectors(self, **changes: float) -> None:
-        """Let both drones' detectors be worse by some of the fields of ``DetectorConfig``."""
+        """Let all drones' detectors be worse by some of the fields of ``DetectorConfig``."""
         self.detector = replace(self.detector, **changes)
         self._changed()
 
-    def send_lookalike(self) -> None:
-        """One more look-alike drives across, close past the target, and away; it is gone after
-        seven seconds.
+    def send_lookalike(self, target: int = 0) -> None:
+        """One more look-alike drives across, close past a target, and away; it is gone after seven
+        seconds.
         """
-        self._traffic.send_lookalike(self.traffic_s)
+        self._traffic.send_lookalike(target, self.traffic_s)
         self._changed()
 
-    def step_estimator(self, name: Name, shift_n_m: Vec3, turn_rad: float) -> None:
+    def step_estimator(self, name: str, shift_n_m: Vec3, turn_rad: float) -> None:
         """Let a drone's estimate of its place and heading step, for good. The drone stays where it
         is.
 
         Its autopilot goes on from there: a hold or a take-off under way is flown by the new place.
         """
-        row = self.names.index(name)
+        row = self._rows[name]
         self._sensors.position_bias[row] += shift_n_m
         self._sensors.attitude_bias[row, 2] += turn_rad
         self._drones[name].resets += 1
 
-    def battery(self, name: Name, fraction: float) -> None:
+    def battery(self, name: str, fraction: float) -> None:
         """Set what is left of a drone's charge, 0..1."""
         self._drones[name].autopilot.set_battery(fraction)
 
 
-class World(Fleet[Role]):
-    """Everything that is true of a pair."""
+class World(Fleet):
+    """Everything that is true of a pair, whose drones are called by their roles."""
 
     def __init__(self, config: WorldConfig, seed: int) -> None:
         """Raise ValueError when the objects do not fit."""
         self._snapshot: Snapshot | None = None
-        self.min_separation_m = math.inf  # of the two bodies, while both were in the air
-        off = {Role.RECEIVER: receiver_off(config.position_offset, seed)}
-        super().__init__(config, seed, {role: config.true_home(role, seed) for role in Role}, off)
-
-    def _sense(self) -> None:
-        super()._sense()
-        if self.both_in_air:
-            self.min_separation_m = min(self.min_separation_m, self.separation_m)
+        homes: dict[str, HomeConfig] = {role: config.true_home(role, seed) for role in Role}
+        off: dict[str, Vec3] = {Role.RECEIVER: receiver_off(config.position_offset, seed)}
+        super().__init__(config, seed, homes, off)
 
     def _changed(self) -> None:
+        super()._changed()
         self._snapshot = None
 
     # --- truth ---
@@ -381,11 +512,10 @@ class World(Fleet[Role]):
     def snapshot(self) -> Snapshot:
         """The truth at ``time_s``."""
         if self._snapshot is None:
-            objects = self._traffic.at(self.traffic_s)
-            self._snapshot = Snapshot(
-                self.time_s, self.truths(), objects, self._marker_hidden, self._depth_holes, self.detector,
-                self.config.target.kind, self.config.target.stretch,
-            )  # fmt: skip
+            truths = self.truths()
+            drones = {role: truths[role] for role in Role}
+            hidden = bool(self._covered)
+            self._snapshot = self._seen(drones, self.all_objects, hidden, bool(self._no_depth))
         return self._snapshot
 
 

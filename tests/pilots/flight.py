@@ -51,14 +51,14 @@ ROLE = Role.SENDER
 class OneDrone:
     """``PartContext.harness`` of one drone, alone in its world."""
 
-    fleet: Fleet[Role]
+    fleet: Fleet
     noted: Watched
     seed: int = 1
     silent_vehicles: set[Role] = field(default_factory=set[Role])
     lost_vehicles: set[Role] = field(default_factory=set[Role])
 
     @property
-    def world(self) -> Fleet[Role]:
+    def world(self) -> Fleet:
         """The world at the loop's present."""
         now_s = asyncio.get_running_loop().time()
         if now_s != self.fleet.time_s:
@@ -112,7 +112,7 @@ def fly(acts: tuple[Act, ...], seed: int = 1) -> Flown:
 
 
 async def _fly(acts: tuple[Act, ...], seed: int) -> Flown:
-    fleet = Fleet(_world(), seed, {ROLE: HomeConfig()}, {})
+    fleet = Fleet(_world(), seed, {ROLE: HomeConfig()})
     autopilot = fleet.drone(ROLE).autopilot
     noted = Watched()
     noted.put_round(autopilot)

@@ -199,7 +199,7 @@ class Airborne(Protocol):
     noted: Watched
 
     @property
-    def world(self) -> Fleet[Role]: ...
+    def world(self) -> Fleet: ...
 
 
 async def act_on(act: Act, role: Role, harness: Airborne) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.log.mcap_log import McapLog
-from drivers.rig.parts import Rig
+from drivers.rig.parts import Rig, RoleRig
 from drivers.rig.tables import decode_table
 from hil.beacons.pty import open_beacons, open_hedges
 from hil.camera.shared import RUN_VARIABLE
@@ -48,7 +48,6 @@ from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot
 from hil.world.world import World
 from path.messages import Role
-from path.protocol.values import ProtocolConfig
 
 
 class SitlWorld(RealTimeWorld):
@@ -61,10 +60,8 @@ class SitlWorld(RealTimeWorld):
         self._config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
         self._built = as_built(rig, seed)
         self._world = World(self._config, seed)
-        mission = mission_config(rig)
-        protocol = ProtocolConfig.of_clocks(mission.clock_uncertainty_s)
-        least_m = mission.separation.minimum_m
-        self._monitors = Monitors(rig.method, least_m, mission.guard, protocol)
+        self._monitors = Monitors.of_pair(rig.method, mission_config(rig))
+        self._own: dict[str, RoleRig] = {role: self._built.rig.role(role) for role in Role}
         self._videos: dict[Role, TelloVideo] = {}
         self._person = person_on_the_wire(rig, self._built, self._config.person, seed)
 
@@ -159,11 +156,11 @@ class SitlWorld(RealTimeWorld):
             video.pump(self.start_s + world.time_s)
         if steps % TRUTH_STEPS == 0:
             self._truth.truth(world)
-            self._monitors.on_truth(now_s, world.separation_m, world.both_in_air)
+            self._monitors.on_near(now_s, world.closest(self._monitors.min_separation_m))
             self._monitors.on_target(now_s, clearance(world))
         # the roles' phases are in their logs: no S7 here
         if steps % (TRUTH_STEPS * VEHICLES_EVERY) == 0:
-            self._monitors.scripts.on_truth(now_s, vehicles_of(world, self._built.rig))
+            self._monitors.scripts.on_truth(now_s, vehicles_of(world, self._own))
 
     def landed(self) -> bool:
         return all(self._world.landed(role) for role in Role)

@@ -28,6 +28,7 @@ from drivers.rig.parts import Rig
 from flight.harness.fleet import RelayConfig, TeamConfig, relay_of_rig, team_of_rig
 from hil.camera.shared import RUN_VARIABLE
 from hil.harness.field import make_field
+from hil.harness.inject import inject_in_leg
 from hil.harness.realtime.pace import frame_age_s, overload_of
 from hil.harness.realtime.parts import (
     CameraView,
@@ -38,13 +39,13 @@ from hil.harness.realtime.parts import (
     shared_camera,
 )
 from hil.harness.realtime.world import TRUTH_STEPS, RealTimeWorld, main
-from hil.harness.relay_world import OWN, RelayWorld
 from hil.link.faulty import LinkFaults, UdpFaultProxy
 from hil.monitors.claims import in_world_time
 from hil.monitors.hindsight import HINDSIGHT_S, Hindsight
 from hil.monitors.monitors import LEASES
 from hil.monitors.setpoints import LATE, Late, all_explained, judged, late_of, told_with
 from hil.world.snapshot import Snapshot
+from hil.world.world import OWN, Fleet
 
 VEHICLES_STEPS = 200
 TARGETS_STEPS = 40
@@ -77,7 +78,7 @@ class RelaySitlWorld(RealTimeWorld):
         self._ages_s: defaultdict[str, list[float]] = defaultdict(list)
 
     @property
-    def fleet(self) -> RelayWorld:
+    def fleet(self) -> Fleet:
         return self._world
 
     async def open(self, stack: AsyncExitStack) -> Mapping[str, Any]:
@@ -100,7 +101,7 @@ class RelaySitlWorld(RealTimeWorld):
         if steps % TRUTH_STEPS == 0:
             self._monitors.on_truth(world.time_s)
             hindsight.put(world.time_s, "on_watched", world.time_s)
-            hindsight.remember(world.time_s, (world.truth(), world.all_objects))
+            hindsight.remember(world.time_s, (world.truths(), world.all_objects))
         if steps % VEHICLES_STEPS == 0:
             hindsight.put(world.time_s, "on_vehicles", world.time_s, self._monitors.vehicles())
             hindsight.put(world.time_s, "sample", world.time_s, world.batteries, world.airborne)
@@ -148,7 +149,7 @@ class RelaySitlWorld(RealTimeWorld):
                 await self._open_leg(number, sender, receiver)
             case {"close": _, "sender": sender, "receiver": receiver}:
                 with self.lock:
-                    self._world.close_leg(sender, receiver)
+                    self._world.uncover(sender, receiver)
             case {"died": name, "at_ns": at_ns}:
                 put(at_ns * 1e-9 - self.start_s, "on_death", name)
             case {"over": name, "at_ns": at_ns}:
@@ -204,10 +205,9 @@ class RelaySitlWorld(RealTimeWorld):
 
     def inject(self, order: Mapping[str, Any], at_s: float) -> None:
         del at_s
-        if order["fault"] == "lookalike":
-            self._world.send_lookalike(self._monitors.on_target(order["ends"][0]))
-        else:
-            self._world.inject(order["fault"], order["drone"], order["value"], order["ends"])
+        ends = order["ends"]
+        target = self._monitors.target_of(ends[0])
+        inject_in_leg(order["fault"], order["drone"], self._world, order["value"], ends, target)
 
     # --- the end ---
 
@@ -219,13 +219,12 @@ class RelaySitlWorld(RealTimeWorld):
         aloft = [name for name in world.names if not world.landed(name)]
         for name in self.drones:
             self._close_flight(name, now_s)
-        monitors.close()
         found = monitors.findings()
         many = {
             name: [asdict(each) for each in found[name]] for name in ("flown", "samples", "watched")
         }
         pictures = {name: drone.frames for name, drone in self.drones.items()}
-        gaps = [judged(gap, self._late[gap.who], self.stalls) for gap in monitors.setpoint_gaps]
+        gaps = [judged(gap, self._late[gap.who], self.stalls) for gap in monitors.gaps]
         late = overload_of(self._ages_s, pictures, stood_s=self.stood_s, gaps=gaps)
         notes = told_with(found["notes"], gaps)
         explained = ["S8"] if all_explained(found["violations"], gaps) else []

@@ -118,7 +118,7 @@ class RealTimeWorld:
 
     @property
     @abstractmethod
-    def fleet(self) -> Fleet[Any]: ...
+    def fleet(self) -> Fleet: ...
 
     @abstractmethod
     async def open(self, stack: AsyncExitStack) -> Mapping[str, Any]:

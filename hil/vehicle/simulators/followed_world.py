@@ -244,9 +244,7 @@ class FollowedWorld(World):
         for i, vehicle in enumerate(self._vehicles.values()):
             self._states[i] = vehicle.follower.row(to_s + vehicle.epoch_s)
         self.time_s = to_s
-        self._snapshot = None
-        if self.both_in_air:
-            self.min_separation_m = min(self.min_separation_m, self.separation_m)
+        self._changed()
 
     def _late_s(self) -> float:
         return 0.0  # the rows are of ``time_s``

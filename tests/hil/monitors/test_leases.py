@@ -20,7 +20,7 @@ class Story:
     """
 
     def __init__(self) -> None:
-        self.monitors = Monitors(MethodConfig(), 0.7)
+        self.monitors = Monitors.of_pair(MethodConfig())
 
     def write(self, role: Role, topic: str, at_s: float, **record: Any) -> None:
         self.monitors.on_record(role, topic, round(at_s * 1e9), record)
@@ -77,7 +77,7 @@ def test_a_hand_over_that_goes_well_violates_nothing_and_is_timed() -> None:
     story.epoch(D2, 1.06, 1, "holding")
     story.holds(D2, 1.06, True)
     assert story.found == {}
-    leases = story.monitors.leases
+    leases = story.monitors.legs[0].leases
     assert (round(leases.gap_s or 0.0, 6), round(leases.decision_s or 0.0, 6)) == (0.02, 0.04)
 
 
@@ -89,7 +89,7 @@ def test_taking_back_after_the_lease_and_trying_again_violates_nothing() -> None
     story.commit(5.0, epoch=2)
     story.take(5.1, epoch=2)
     assert story.found == {}
-    assert round(story.monitors.leases.gap_s or 0.0, 6) == 1.52
+    assert round(story.monitors.legs[0].leases.gap_s or 0.0, 6) == 1.52
 
 
 def test_s2_an_epoch_that_falls_across_a_restart() -> None:

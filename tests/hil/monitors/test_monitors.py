@@ -16,6 +16,7 @@ from drivers.interfaces import FlightMode
 from hil.autopilot.values import OffboardSession
 from hil.monitors.monitors import Monitors
 from hil.monitors.watched_log import WatchedLog
+from hil.world.distances import Nearness, nearness
 from path.config import EvidenceConfig, MethodConfig
 from path.gate.evidence import EvidenceGate, evidence_needed, evidence_of, make_gate
 from path.gate.identity import nearest_rival
@@ -29,7 +30,7 @@ PERIOD_NS = 100_000_000
 
 @pytest.fixture
 def monitors() -> Monitors:
-    return Monitors(METHOD, 0.7)
+    return Monitors.of_pair(METHOD)
 
 
 def pairs(number: int, first: int = 1, **changes: Any) -> Iterator[dict[str, Any]]:
@@ -46,6 +47,12 @@ def pairs(number: int, first: int = 1, **changes: Any) -> Iterator[dict[str, Any
             "epoch": 1,
         }
         yield {**record, "evidence": None, "capture_ns": capture_ns, **changes}
+
+
+def near(apart_m: float) -> Nearness:
+    """Return the truth of two bodies in the air that are so far from each other."""
+    places_m = np.array([[0.0, 0.0, -1.0], [apart_m, 0.0, -1.0]])
+    return nearness(("sender", "receiver"), places_m, 0.7)
 
 
 def judge(monitors: Monitors, *records: dict[str, Any]) -> None:
@@ -83,7 +90,7 @@ def test_a_good_run_violates_nothing(monitors: Monitors) -> None:
     responsible(monitors, Role.RECEIVER, True)
     responsible(monitors, Role.RECEIVER, True)  # provisionally, then for good
     for k in range(100):
-        monitors.on_truth(k * 0.02, 1.2 + 0.1 * math.sin(k), both_in_air=True)
+        monitors.on_near(k * 0.02, near(1.2 + 0.1 * math.sin(k)))
     for role in Role:
         monitors.on_offboard(role, [OffboardSession(3.0, 0.06, 50.0, FlightMode.LAND)])
     monitors.on_record(Role.SENDER, "/phase", 5, {"phase": "land"})
@@ -100,7 +107,7 @@ def test_s1_two_responsible_drones(monitors: Monitors) -> None:
     assert not monitors.violations
     responsible(monitors, Role.RECEIVER, True)
     assert dict(monitors.violations) == {"S1": 1}
-    assert "two responsible" in monitors.details[0]
+    assert monitors.details[0].endswith("responsible at once: receiver, sender")
 
 
 def test_s1_nobody_is_no_violation(monitors: Monitors) -> None:
@@ -224,7 +231,7 @@ BLOCK = 20  # pairs at 50 Hz
 class Stream:
     """An evidence gate and what its sender logs of it, read by monitors."""
 
-    monitors: Monitors = field(default_factory=lambda: Monitors(EVIDENCE, 0.7))
+    monitors: Monitors = field(default_factory=lambda: Monitors.of_pair(EVIDENCE))
     gate: Gate = field(default_factory=lambda: EvidenceGate(EVIDENCE))
     epoch: int = 1
     offsets: Offsets = field(default_factory=lambda: Offsets((0.01, -0.005)))
@@ -330,7 +337,7 @@ def test_s5_is_as_patient_as_the_gate(more: int, violated: dict[str, int]) -> No
     sooner.
     """
     stream, (_, patient) = (
-        Stream(Monitors(PATIENT, 0.7), make_gate(PATIENT)),
+        Stream(Monitors.of_pair(PATIENT), make_gate(PATIENT)),
         PATIENT.evidence.paces,
     )
     blocks = next(
@@ -412,14 +419,14 @@ def test_gate_and_monitors_never_differ(
     """Whatever comes in, in whatever order: what the gate completes is full for the monitors, and
     nothing else.
     """
-    stream, index = Stream(Monitors(method, 0.7), make_gate(method)), 0
+    stream, index = Stream(Monitors.of_pair(method), make_gate(method)), 0
     for kind, length, iou in script:
         if kind in "aw":
             for _ in range(length):
                 index += 1
                 stream.pair(index, iou if kind == "a" else 0.42)
                 stream.pair(max(0, index - 3), 1.0)  # an old one
-                assert stream.gate.complete == stream.monitors._agreed.full  # pyright: ignore[reportPrivateUsage]
+                assert stream.gate.complete == stream.monitors.legs[0]._agreed.full  # pyright: ignore[reportPrivateUsage]
         elif kind == "m":
             index += 1
             stream.gate.disagree(index, index * 20_000_000)
@@ -482,10 +489,10 @@ def test_s8_is_told_with_the_gaps_own_time_and_each_gap_counts(monitors: Monitor
 
 def test_s9_each_excursion_counts_once(monitors: Monitors) -> None:
     for k, separation_m in enumerate([1.0, 0.69, 0.60, 0.65, 0.71, 0.69, 0.8]):
-        monitors.on_truth(k * 0.02, separation_m, both_in_air=True)
+        monitors.on_near(k * 0.02, near(separation_m))
     assert dict(monitors.violations) == {"S9": 2}
     assert monitors.closest_m == 0.60
-    assert monitors.details[0] == "S9 at 0.02 s: separation 0.69 m is below 0.70 m"
+    assert monitors.details[0] == "S9 at 0.02 s: sender and receiver are 0.69 m apart"
 
 
 def test_s9_is_about_a_target_that_can_be_hit_as_well(monitors: Monitors) -> None:
@@ -493,12 +500,6 @@ def test_s9_is_about_a_target_that_can_be_hit_as_well(monitors: Monitors) -> Non
         monitors.on_target(k * 0.02, nearest_m)
     assert dict(monitors.violations) == {"S9": 2}
     assert monitors.details[0] == "S9 at 0.04 s: 0.39 m from the target, below 0.40 m"
-
-
-def test_s9_is_about_flight(monitors: Monitors) -> None:
-    monitors.on_truth(0.0, 0.3, both_in_air=False)
-    assert not monitors.violations
-    assert monitors.closest_m == math.inf
 
 
 # --- the watched log
@@ -525,7 +526,7 @@ def test_a_watched_log_passes_everything_on_and_tells_the_monitors_world_time(
     watched.write("/responsibility", 6_500_000_000, record)
     watched.image("/image", 7, None)  # type: ignore[arg-type]
     assert log.records == [("/responsibility", 6_500_000_000, record), ("/image", 7, None)]
-    assert monitors.details == ["S1 at 2.50 s: two responsible drones"]
+    assert monitors.details == ["S1 at 2.50 s: responsible at once: receiver, sender"]
 
 
 def test_bounds_in_time_of_programs_that_run_do_not_bind_one_that_is_made_to_stand_still(
@@ -534,7 +535,7 @@ def test_bounds_in_time_of_programs_that_run_do_not_bind_one_that_is_made_to_sta
     """Whoever is responsible, and until when, is not excused."""
     monitors.stalls = True
     for name in ("S7", "L1", "L2", "S1"):
-        monitors._violated(name, 1.0, "so it is")
+        monitors.violated(name, 1.0, "so it is")
     assert dict(monitors.violations) == {"S1": 1}
     assert [told[:2] for told in monitors.beyond] == ["S7", "L1", "L2"]
     assert monitors.details == ["S1 at 1.00 s: so it is"]
@@ -543,10 +544,10 @@ def test_bounds_in_time_of_programs_that_run_do_not_bind_one_that_is_made_to_sta
 
 def test_what_was_promised_of_records_is_not_after_a_disk_has_lost_one(monitors: Monitors) -> None:
     """Vehicles, distances and agreements are not excused, and nothing is from before."""
-    monitors._violated("S4", 0.5, "so it is")
+    monitors.violated("S4", 0.5, "so it is")
     monitors.on_forgotten(1.0, Role.SENDER)
     for name in ("S1", "S4", "S6", "S8", "S9"):
-        monitors._violated(name, 2.0, "so it is")
+        monitors.violated(name, 2.0, "so it is")
     assert dict(monitors.violations) == {"S4": 1, "S6": 1, "S8": 1, "S9": 1}
     assert [told[:2] for told in monitors.beyond] == ["S1", "S4"]
     assert monitors.broken == ("disk",)
@@ -558,7 +559,7 @@ LIKELIHOOD = MethodConfig(gate="likelihood")
 
 
 def by_likelihood(**changes: Any) -> Stream:
-    return Stream(Monitors(LIKELIHOOD, 0.7), make_gate(LIKELIHOOD), **changes)
+    return Stream(Monitors.of_pair(LIKELIHOOD), make_gate(LIKELIHOOD), **changes)
 
 
 @pytest.mark.parametrize("rivals_m", [(), ((0.4, 0.1),), ((0.4, 0.1), (-0.35, 0.2))])

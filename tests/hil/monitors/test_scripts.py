@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from drivers.interfaces import FlightMode
-from flight.config import GuardConfig
+from flight.config import GuardConfig, MissionConfig
 from hil.monitors.monitors import Monitors
 from hil.monitors.scripts import NOTICED_S, ScriptMonitor, VehicleTruth, vehicles_of
 from hil.world.config import WorldConfig
@@ -27,7 +27,7 @@ FLYING = VehicleTruth(
 
 @pytest.fixture
 def monitors() -> Monitors:
-    return Monitors(MethodConfig(), 0.7)
+    return Monitors.of_pair(MethodConfig())
 
 
 @pytest.fixture
@@ -182,14 +182,14 @@ def test_s10_a_script_that_arms_a_vehicle_whose_motors_were_stopped(
 
 def test_the_truth_about_both_vehicles_before_take_off() -> None:
     rig = rig_library.load("sim")
-    vehicles = vehicles_of(World(WorldConfig(), 0), rig)
+    vehicles = vehicles_of(World(WorldConfig(), 0), {role: rig.role(role) for role in Role})
     assert {vehicle.armed for vehicle in vehicles.values()} == {False}
     assert all(abs(vehicle.position_n_m[2]) < 0.5 for vehicle in vehicles.values())
 
 
 def test_s11_a_body_that_touches_a_wall_counts_once_and_one_beside_it_does_not() -> None:
     hall = GuardConfig(corners_m=((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0), (2.0, -2.0)))
-    monitors = Monitors(MethodConfig(), 0.7, hall)
+    monitors = Monitors.of_pair(MethodConfig(), MissionConfig(guard=hall))
     monitors.scripts.on_phase(D1, 0.0, "verify")
     monitors.scripts.on_phase(D2, 0.0, "verify")
     fly(monitors.scripts, 0.0, 1.0, position_n_m=(1.8, 0.0, -1.5))

@@ -55,7 +55,7 @@ class BusyBench(Bench):
 
     @property
     def violations(self) -> dict[str, int]:
-        monitors = Monitors(MethodConfig(), 0.7)
+        monitors = Monitors.of_pair(MethodConfig())
         monitors.on_offboard(Role.SENDER, self.drone.autopilot.offboard_sessions)
         return dict(monitors.violations)
 

@@ -216,14 +216,15 @@ def test_the_snapshot_moves_on_between_physics_steps() -> None:
     assert steps == pytest.approx(np.full(20, 0.002), rel=0.3)
 
 
-def test_separation_counts_only_in_the_air() -> None:
+def test_the_closest_two_are_looked_for_only_in_the_air() -> None:
     near = WorldConfig(errors=ErrorsConfig("exact"), receiver_home=HomeConfig((1.2, 0.0)))
     world = World(near, 1)
     assert world.separation_m == pytest.approx(1.2)
     take_off(world, Role.SENDER)
-    assert world.min_separation_m == math.inf
+    assert world.closest(0.0).closest_m == math.inf
     take_off(world, Role.RECEIVER)
-    assert 0.3 < world.min_separation_m < 2.0
+    assert 0.3 < world.closest(0.0).closest_m < 2.0
+    assert world.closest(0.0).closest_m == pytest.approx(world.separation_m)
 
 
 def test_faults_of_the_world() -> None:
@@ -232,14 +233,14 @@ def test_faults_of_the_world() -> None:
     before = world.snapshot()
     assert not before.marker_hidden
     assert not before.depth_holes
-    world.hide_marker(True)
-    world.depth_holes(True)
+    world.hide_marker(Role.SENDER)
+    world.depth_holes(*Role)
     world.send_lookalike()
     after = world.snapshot()
     assert after.marker_hidden
     assert after.depth_holes
     assert len(after.objects) == len(before.objects) + 1
-    world.hide_marker(False)
+    world.uncover(*Role)
     assert not world.snapshot().marker_hidden
     world.battery(Role.SENDER, 0.05)
     assert world.drone(Role.SENDER).autopilot.battery == 0.05

@@ -302,7 +302,7 @@ def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None
         )
         assert not world.drone(Role.SENDER).autopilot.armed
         # the monitors find there all that they ask of an embedded one
-        seen = vehicles_of(world, rig)[Role.SENDER]
+        seen = vehicles_of(world, {role: rig.role(role) for role in Role})[Role.SENDER]
         assert (seen.pilot, seen.killed, seen.battery, seen.setpoint_s) == (
             False,
             False,
