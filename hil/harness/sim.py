@@ -9,41 +9,37 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Coroutine, Iterator
+from collections.abc import Awaitable, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 from drivers.collector import collector_off
 from drivers.interfaces import PartError
 from drivers.log.mcap_log import McapLog, new_part, virtual_log
-from drivers.rig.parts import Rig, RoleRig, part_context
+from drivers.rig.parts import Rig, RoleRig
 from drivers.rig.tables import decode_table
 from drivers.stop_signals import stop_on_signals
 from flight.config import MissionConfig
 from flight.harness.flights import (
     FlightReport,
     FlightRequest,
-    ProgramContext,
-    Progress,
     RoleResult,
     with_log,
 )
-from hil.harness.drone import Disk, DroneHarness, until
-from hil.harness.guard import MemoryBeatLine, keep_watch
-from hil.harness.inject import inject_at_drone, inject_in_world, inject_on_link
-from hil.harness.leg_faults import LegFaults
+from hil.harness.inject import inject_in_world
 from hil.harness.preparation import prepare, starting
-from hil.harness.programs import Programs, Started
+from hil.harness.programs import Started
 from hil.harness.stalls import StallingLoop
+from hil.harness.virtual import VirtualDrones
 from hil.harness.virtual_time import VirtualTimeLoop, run_virtual
 from hil.link.faulty import MemoryHub
 from hil.monitors.monitors import Monitors
 from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
-from hil.monitors.watched_log import WatchedLog
 from hil.world.check import check_world
 from hil.world.config import WorldConfig, drawn_imaging, scene_of
 from hil.world.distances import clearance
-from hil.world.errors import Built, as_built
+from hil.world.errors import as_built
 from hil.world.estimator import reported
 from hil.world.faults import Fault, parse_faults
 from hil.world.world import World
@@ -88,67 +84,52 @@ def show_start(request: FlightRequest, what: str) -> None:
         request.emit(starting(role, what))
 
 
-class _Flight:
+class _Flight(VirtualDrones):
     """One run in virtual time: a leg of two drones, which are called by their roles."""
 
     def __init__(self, request: FlightRequest, faults: list[Fault]) -> None:
+        rig = request.rig
+        config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
+        mission = mission_config(rig)
+        monitors = Monitors.of_pair(rig.method, mission)
+        monitors.stalls = any(fault.stalls for fault in faults)
+        self._world = world = World(config, request.seed)
+        super().__init__(world, monitors, mission, {LEG: faults}, request.emit, request.seed)
         self._request = request
-        self._rig = request.rig
-        self._faults = LegFaults({LEG: faults}, self._inject)
-        self._programs = Programs(self._died, self._forgot)
-        self._offsets_ns = clock_offsets(request.rig)
+        self._rig = rig
         self._logs: list[McapLog] = []
+        self._built = as_built(rig, request.seed)
+        hub = self.hubs[LEG] = MemoryHub(request.seed)
+        for role in Role:
+            self.add(role, rig, role, world, request.seed, self._built, hub)
 
     async def run(self) -> dict[str, Any]:
         """The fields of the FlightReport, without the wall's."""
-        request = self._request
-        rig = self._rig
-        config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
-        self._world = World(config, request.seed)
-        built = as_built(rig, request.seed)
-        self._own: dict[str, RoleRig] = {role: built.rig.role(role) for role in Role}
-        mission = mission_config(rig)
-        self._monitors = Monitors.of_pair(rig.method, mission)
-        self._monitors.stalls = isinstance(asyncio.get_running_loop(), StallingLoop)
-        self._hub = MemoryHub(request.seed)
-        self._drones = {role: self._new(role, built) for role in Role}
-        stop_on_signals(self._programs.interrupt)
-        with virtual_log(request.out / "world.mcap", "world") as log:
-            guarding = list(self._guards(mission))
+        out = self._request.out
+        stop_on_signals(self.programs.interrupt)
+        with ExitStack() as stack:
+            log = stack.enter_context(virtual_log(out / "world.mcap", "world"))
+            for name, drone in self.drones.items():
+                if drone.own.guard is not None:
+                    file = out / f"{name}.guard.mcap"
+                    own = stack.enter_context(virtual_log(file, name, drone.offset_ns))
+                    self.start_guard(drone, own)
             truth = self._truth = TruthLog(log)
-            truth.scene(built.rig, self._monitors.min_separation_m, self._offsets_ns, config.target)
-            self._faults.open_leg(LEG, Role.SENDER.value, Role.RECEIVER.value)
+            truth.scene(
+                self._built.rig,
+                self.monitors.min_separation_m,
+                clock_offsets(self._rig),
+                self.world.config.target,
+            )
+            self.legs.open_leg(LEG, *Role)
             watching = asyncio.create_task(self._watch_truth(truth))
             results = await self._fly_roles()
-            await until(lambda: all(self._world.landed(role) for role in Role), LANDING_LIMIT_S)
-            for task in (watching, *guarding):
+            await self.until_down(LANDING_LIMIT_S)
+            beside = [watching, *(drone.guard for drone in self.drones.values() if drone.guard)]
+            for task in beside:
                 task.cancel()
-            await asyncio.gather(watching, *guarding, return_exceptions=True)
+            await asyncio.gather(*beside, return_exceptions=True)
             return self._findings(truth, results)
-
-    def _new(self, role: Role, built: Built) -> DroneHarness:
-        name = role.value
-        drone = DroneHarness(
-            self._world, self._world.advance, self._request.seed, built, role, self._hub
-        )
-        self._programs.add(name, drone, Disk(lambda duty: self._faults.on_duty(name, duty)))
-        return drone
-
-    def _guards(self, mission: MissionConfig) -> Iterator[asyncio.Task[None]]:
-        """The guards of the roles that have one; they outlive the roles' programs."""
-        for role, drone in self._drones.items():
-            spec = self._rig.role(role).guard
-            if spec is not None:
-                context = part_context(self._rig, role, drone)
-                drone.beats = MemoryBeatLine(context.clock)
-                log = virtual_log(
-                    self._request.out / f"{role.value}.guard.mcap",
-                    role.value,
-                    self._offsets_ns[role],
-                )
-                yield asyncio.create_task(
-                    _logged(keep_watch(spec, context, drone.beats, mission, log), log)
-                )
 
     # --- programs ---
 
@@ -157,7 +138,7 @@ class _Flight:
         try:
             _, flying = await asyncio.wait(ends.values(), timeout=RUN_LIMIT_S)
             if flying:
-                self._programs.interrupt()
+                self.programs.interrupt()
                 await asyncio.wait(flying)
             for log in self._logs:
                 log.close()  # what waits in its buffer may still fail
@@ -165,104 +146,81 @@ class _Flight:
                 end.exception()  # one is raised below; asyncio complains of what nobody looked at
             return {role: self._result(role, end) for role, end in ends.items()}
         finally:
-            self._faults.close()
-            self._programs.close()
+            self.legs.close()
+            self.programs.close()
             for log in self._logs:
                 log.close()
 
     def _begin(self, role: Role) -> Awaitable[RoleResult | None]:
-        return self._programs.begin(role.value, lambda: self._start(role))
+        return self.programs.begin(role, lambda: self._start(role))
 
     def _start(self, role: Role) -> Started:
         """A program with a log of its own, a further one after a restart."""
         request = self._request
-        offset_ns = self._offsets_ns[role]
-        log = virtual_log(new_part(request.out, role.value), role.value, offset_ns)
+        drone = self.drones[role]
+        log = virtual_log(new_part(request.out, role), role, drone.offset_ns)
         self._logs.append(log)
-        watched = WatchedLog(log, role, self._monitors.on_record, offset_ns)
-        disk = self._programs.disk(role.value)
-        given = ProgramContext(watched, self._emit, self._programs.stop, self._drones[role], disk)
+        watched, given = self.given(drone, log)
         return Started(watched, _with_log(request.role_main(self._rig, role, given), log))
-
-    def _died(self, name: str) -> None:
-        self._monitors.on_death(name)
-
-    def _forgot(self, name: str) -> None:
-        self._monitors.on_forgotten(self._world.time_s, name)
 
     def _result(self, role: Role, end: asyncio.Future[RoleResult | None]) -> RoleResult | None:
         """None for a program that died, or could not begin once more. Raises what ended it
         otherwise.
         """
         error = end.exception()
-        if isinstance(error, PartError) and self._programs.began_again(role.value):
-            self._monitors.details.append(
-                f"the {role.value}'s program could not begin again: {error}"
-            )
+        if isinstance(error, PartError) and self.programs.began_again(role):
+            self.monitors.details.append(f"the {role}'s program could not begin again: {error}")
             return None
         return end.result()
 
-    def _emit(self, progress: Progress) -> None:
-        name = progress.role.value
-        if not self._programs.killed(name):
-            self._request.emit(progress)
-            self._faults.on_progress(name, progress)
-
-    def _inject(self, leg: int, fault: Fault) -> None:
-        del leg
-        role = fault.kind.role
-        self._truth.fault(fault.name, round(self._world.time_s * 1e9))
-        inject_in_world(fault.name, role, self._world, fault.value)
-        inject_on_link(fault.name, fault.value or 0.0, self._hub)
-        if role is not None:
-            inject_at_drone(fault, role.value, self._drones[role], self._programs)
+    def inject_in_world(self, fault: Fault, name: str | None, ends: Sequence[str]) -> None:
+        self._truth.fault(fault.name, round(self.world.time_s * 1e9))
+        inject_in_world(fault.name, name, self.world, fault.value, ends)
 
     # --- what is seen ---
 
     async def _watch_truth(self, truth: TruthLog) -> None:
         loop = asyncio.get_running_loop()
         world = self._world
+        monitors = self.monitors
+        own: dict[str, RoleRig] = {role: self._built.rig.role(role) for role in Role}
         ticks = 0
         while True:
             world.advance(loop.time())
             truth.truth(world)
             truth.modes(world)
-            self._monitors.on_near(world.time_s, world.closest(self._monitors.min_separation_m))
-            self._monitors.on_target(world.time_s, clearance(world))
+            monitors.on_near(world.time_s, world.closest(monitors.min_separation_m))
+            monitors.on_target(world.time_s, clearance(world))
             ticks += 1
             if ticks % VEHICLES_EVERY == 0:
-                self._monitors.scripts.on_truth(world.time_s, vehicles_of(world, self._own))
+                monitors.scripts.on_truth(world.time_s, vehicles_of(world, own))
             together = len(world.airborne) == len(Role)
             await asyncio.sleep(TRUTH_PERIOD_S if together else GROUND_PERIOD_S)
 
     def _findings(self, truth: TruthLog, results: dict[Role, RoleResult | None]) -> dict[str, Any]:
+        monitors = self.monitors
         for role in Role:
             truth.setpoint_gap(role, self._world)
-            sessions = self._world.drone(role).autopilot.offboard_sessions
-            self._monitors.on_offboard(role, sessions, self._drones[role].cut_off_s)
-        for detail in self._monitors.details:
-            truth.violation(self._world.time_s, detail.partition(" ")[0], detail)
+            sessions = self.world.drone(role).autopilot.offboard_sessions
+            monitors.on_offboard(role, sessions, self.drones[role].harness.cut_off_s)
+        for detail in monitors.details:
+            truth.violation(self.world.time_s, detail.partition(" ")[0], detail)
         return {
             "results": results,
-            "landed": {role: self._world.landed(role) for role in Role},
-            "violations": dict(self._monitors.violations),
-            "simulated_s": self._world.time_s,
-            "interrupted": self._programs.interrupted,
+            "landed": {role: self.world.landed(role) for role in Role},
+            "violations": dict(monitors.violations),
+            "simulated_s": self.world.time_s,
+            "interrupted": self.programs.interrupted,
             "notes": (
-                *self._monitors.details,
-                *(f"beyond what is promised then: {told}" for told in self._monitors.beyond),
+                *monitors.details,
+                *(f"beyond what is promised then: {told}" for told in monitors.beyond),
             ),
-            "beyond": tuple(self._monitors.beyond),
-            "broken": tuple(self._monitors.broken),
-            "figures": self._monitors.legs[0].leases.figures,
+            "beyond": tuple(monitors.beyond),
+            "broken": monitors.broken,
+            "figures": monitors.legs[0].leases.figures,
             "errors": reported(self._rig) | drawn_imaging(self._rig),
             "scene": "" if (scene := scene_of(self._rig)) == "plain" else scene,
         }
-
-
-async def _logged(guard: Coroutine[Any, Any, None], log: McapLog) -> None:
-    with log:
-        await guard
 
 
 async def _with_log(program: Awaitable[RoleResult], log: McapLog) -> RoleResult:

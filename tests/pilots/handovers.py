@@ -86,9 +86,9 @@ class _Flight(sim._Flight):  # pyright: ignore[reportPrivateUsage]
         self.ends: Mapping[Role, RoleResult | None] = {}
 
     async def _fly_roles(self) -> dict[Role, RoleResult | None]:
-        for role, drone in self._drones.items():
-            self.noted[role].put_round(self._world.drone(role).autopilot)
-            harness = cast(Any, drone)
+        for role in Role:
+            self.noted[role].put_round(self.world.drone(role).autopilot)
+            harness = cast(Any, self.drones[role].harness)
             harness.noted = self.noted[role]
             doings = (act_on(act, role, harness) for act in self._acts.of(role))
             for each in (keep_looking(role, harness), *doings):
@@ -100,7 +100,7 @@ class _Flight(sim._Flight):  # pyright: ignore[reportPrivateUsage]
             person.cancel()
         self.ends = results
         for role in Role:
-            autopilot = self._world.drone(role).autopilot
+            autopilot = self.world.drone(role).autopilot
             bad = ends_badly(results[role], autopilot, self.noted[role])
             own = [*self.noted[role].wrong[:3], *bad]
             self.wrong += [f"{role.value}: {what}" for what in own]
@@ -110,7 +110,7 @@ class _Flight(sim._Flight):  # pyright: ignore[reportPrivateUsage]
     def _excuse_persons(self) -> None:
         """Nobody sends setpoints to a vehicle that a person puts into OFFBOARD."""
         for role in Role:
-            autopilot = self._world.drone(role).autopilot
+            autopilot = self.world.drone(role).autopilot
             theirs = [at_s for at_s, _, whose in self.noted[role].modes if whose == "person"]
             for session in autopilot.offboard_sessions:
                 if session.start_s in theirs:
