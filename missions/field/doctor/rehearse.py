@@ -11,10 +11,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from multiprocessing import TimeoutError as NotYet
 from multiprocessing import get_context
+from multiprocessing.pool import IMapIterator
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Timer
@@ -35,6 +37,7 @@ STAND_INS = "sitl-field"  # vehicles that obey parameters, with radios and fence
 SEED = "0"
 READY_S = 180.0  # the first start of all compiles kernels
 END_S = 20.0
+_ready: list[Event] = []  # of a role's process: set once the world is ready
 
 
 def rehearsal(name: str, doing: Callable[[str], None]) -> Iterator[Finding]:
@@ -43,14 +46,27 @@ def rehearsal(name: str, doing: Callable[[str], None]) -> Iterator[Finding]:
         rig = _stood_in(name, Path(folder))
         doing("stand-ins of both drones, their cameras and their link")
         run = f"run-{os.getpid()}"
-        with _world(rig, Path(folder), run):
-            doing("both roles at once, some 20 s: vehicle, guard, perception, link")
-            roles = [role.value for role in Role]
-            with ProcessPoolExecutor(
-                len(roles), get_context("spawn"), initializer=_begin, initargs=(run,)
-            ) as pool:
-                for found in pool.map(_tested, [str(rig.file)] * len(roles), roles):
-                    yield from found
+        spawning = get_context("spawn")
+        ready = spawning.Event()
+        # Both roles' programs load while the world does: beside one that draws they take three times as long.
+        with spawning.Pool(len(Role), _begin, (run, ready)) as pool:
+            tested = pool.imap(_tested, [(str(rig.file), role.value) for role in Role])
+            with _world(rig, Path(folder), run):
+                doing("both roles at once, some 20 s: vehicle, guard, perception, link")
+                ready.set()
+                for _ in Role:
+                    yield from _found(tested)
+
+
+def _found(tested: IMapIterator[list[Finding]]) -> list[Finding]:
+    """Wait for one role's findings. Raises PartError when its program does not come to an end."""
+    try:
+        return tested.next(READY_S)
+    except NotYet:
+        raise PartError(
+            f"a role's tests have not ended within {READY_S:g} s",
+            "free the computer, and look again",
+        ) from None
 
 
 def _stood_in(name: str, folder: Path) -> Rig:
@@ -117,12 +133,16 @@ def _end(world: subprocess.Popen[bytes]) -> None:
         world.kill()
 
 
-def _begin(run: str) -> None:
+def _begin(run: str, ready: Event) -> None:
     belong_to_parent()
     os.environ[RUN_VARIABLE] = run
+    _ready.append(ready)
 
 
-def _tested(rig_file: str, role: str) -> list[Finding]:
-    """Return what one role's tests find, in a process of its own."""
+def _tested(asked: tuple[str, str]) -> list[Finding]:
+    """Return what one role's tests find, in a process of its own. ``asked``: rig file and role."""
+    rig_file, role = asked
     rig = replace(rig_library.load(rig_file), harness=None)
-    return [finding for test in part_tests(rig, Role(role)) for finding in run_test(test)]
+    tests = list(part_tests(rig, Role(role)))
+    _ready[0].wait(READY_S)
+    return [finding for test in tests for finding in run_test(test)]
