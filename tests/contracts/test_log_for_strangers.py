@@ -22,8 +22,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from drivers.interfaces import Frame
 from drivers.log.mcap_log import VIRTUAL_EPOCH_NS, McapLog, virtual_log
 from drivers.log.topics import TOPICS, schema_of
-from missions.fly.handoff.flight import fly_once
-from missions.ground import rig_library
+from tests.flown import flown_once
 
 SCALARS = ("boolean", "string", "number", "integer")
 LOGS = ("sender.mcap", "receiver.mcap", "sender.guard.mcap", "world.mcap")
@@ -58,9 +57,7 @@ def reader_of(file: Any) -> McapReader:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("run")
-    fly_once(rig_library.load("sim"), 4, ("link_loss=0.2",), out, lambda _: None)
-    return out
+    return flown_once(tmp_path_factory, 8, "link_loss=0.3")
 
 
 def fields_are_read(properties: Mapping[str, Any]) -> None:

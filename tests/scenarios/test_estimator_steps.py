@@ -11,6 +11,7 @@ from missions.look.report.summary import summarize
 from path.messages import Role
 from tests.scenarios.estimator_step_flights import KINDS, LAST_S, drawn
 from tests.scenarios.test_sim import fly as flown
+from tests.scenarios.test_sim import shared
 
 
 @pytest.mark.parametrize(
@@ -28,9 +29,9 @@ from tests.scenarios.test_sim import fly as flown
     ids=lambda of: str(of) if isinstance(of, int) else "+".join(of),
 )
 def test_it_is_seen_and_the_target_is_handed_over(
-    tmp_path: Path, seed: int, faults: tuple[str, ...]
+    tmp_path_factory: pytest.TempPathFactory, seed: int, faults: tuple[str, ...]
 ) -> None:
-    flight = flown("sim", tmp_path, seed, *faults)
+    flight = shared(tmp_path_factory, seed, *faults)
     assert flight.facts.outcome == "committed", flight.facts.detail
     assert flight.facts.violations == {}
     assert flight.summary["wrong_handover"] is False

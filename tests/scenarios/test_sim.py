@@ -19,22 +19,25 @@ from drivers.rig.parts import with_errors
 from hil.world import errors
 from missions.fly.handoff.flight import fly_once
 from missions.ground import rig_library
-from missions.look.report.records import RunFacts, load_run
+from missions.look.report.records import RunFacts, load_facts, load_run
 from missions.look.report.summary import summarize
 from path.geometry.rotation import exp
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role
+from tests.flown import flown_once
 
 LOGS = ("sender.mcap", "receiver.mcap", "world.mcap")
-IMPATIENT = ("[mission.target]", "[mission.deadlines]\nverify_s = 15.0\n\n[mission.target]")
+IMPATIENT = ("[mission.target]", "[mission.deadlines]\nverify_s = 6.0\n\n[mission.target]")
 
 
 class Flown:
     """A flight's end, and its logs, read once."""
 
     def __init__(self, facts: RunFacts, out: Path) -> None:
-        self.facts, self.run = facts, load_run(out)
+        self.facts = facts
+        self.out = out
+        self.run = load_run(out)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -55,6 +58,14 @@ def fly(rig: str, out: Path, seed: int = 1, *faults: str, errors: str | None = N
     )
 
 
+def shared(factory: pytest.TempPathFactory, seed: int, *faults: str) -> Flown:
+    """A flight of the rig ``sim`` that other rooms look at too."""
+    out = flown_once(factory, seed, *faults)
+    facts = load_facts(out)
+    assert facts is not None
+    return Flown(facts, out)
+
+
 def rig_with(folder: Path, change: tuple[str, str]) -> str:
     """The rig ``sim`` with something else in its file."""
     text = rig_library.whole("sim")
@@ -71,19 +82,22 @@ def test_flights_in_one_process_leave_nothing_that_is_never_collected(tmp_path: 
 
 
 def test_two_seeds_commit_and_break_no_rule_and_one_of_them_again_gives_the_same_bytes(
-    tmp_path: Path,
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    for name, seed in (("a", 2), ("c", 5)):
-        commits_and_breaks_no_rule(tmp_path / name, seed)
-    fly("sim", tmp_path / "b", 2)
+    flights = (
+        shared(tmp_path_factory, 2),
+        fly("sim", tmp_path / "again", 2),
+        fly("sim", tmp_path / "other", 5),
+    )
+    for flown in flights:
+        commits_and_breaks_no_rule(flown)
     for log in LOGS:
-        first, again, other = ((tmp_path / name / log).read_bytes() for name in "abc")
+        first, again, other = ((flown.out / log).read_bytes() for flown in flights)
         assert first == again, log
         assert first != other, log
 
 
-def commits_and_breaks_no_rule(out: Path, seed: int) -> None:
-    flown = fly("sim", out, seed)
+def commits_and_breaks_no_rule(flown: Flown) -> None:
     assert (flown.facts.outcome, flown.facts.exit_code) == ("committed", 0), flown.facts.detail
     assert flown.facts.violations == {}
     assert flown.summary["wrong_handover"] is False
@@ -109,9 +123,9 @@ def test_positions_that_put_the_stand_off_too_near_are_found_out_by_the_marker(
 
 
 def test_the_gate_that_goes_by_evidence_needs_no_more_time_on_a_link_that_loses_a_third(
-    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
-    flown = fly("sim", tmp_path, 8, "link_loss=0.3")
+    flown = shared(tmp_path_factory, 8, "link_loss=0.3")
     assert flown.facts.outcome == "committed", flown.facts.detail
     assert flown.facts.violations == {}
     assert flown.summary["wrong_handover"] is False
@@ -224,13 +238,14 @@ def test_nothing_is_agreed_on_a_link_that_loses_nearly_everything(tmp_path: Path
     ],
 )
 def test_a_program_that_is_killed_and_started_again_goes_by_what_it_wrote_down(
-    tmp_path: Path, fault: str, outcome: str, holder: Role | None
+    tmp_path_factory: pytest.TempPathFactory, fault: str, outcome: str, holder: Role | None
 ) -> None:
-    flown = fly("sim", tmp_path, 1, fault)
+    flown = shared(tmp_path_factory, 1, fault)
     assert flown.facts.outcome == outcome, flown.facts.detail
     assert flown.facts.violations == {}
     assert flown.summary["wrong_handover"] is not True
-    assert [len(list(tmp_path.glob(f"{role.value}*.mcap"))) for role in Role].count(2) == 1
+    logs = [len(list(flown.out.glob(f"{role.value}*.mcap"))) for role in Role]
+    assert logs.count(2) == 1
     responsible = [role for role in Role if flown.responsible_at_the_end(role)]
     assert responsible == [holder] if holder else len(responsible) == 1
     last = flown.run.world["/truth"][-1].record

@@ -116,9 +116,11 @@ def test_a_stranger_decodes_what_is_seen_during_a_flight_in_virtual_time(tmp_pat
         watched = stack.enter_context(ThreadPoolExecutor(1)).submit(
             heard, client, "/sender/state", "/receiver/3d", "/world/truth"
         )
-        facts = fly_once(rig_library.load("sim"), 11, (), tmp_path, lambda _: None)
+        facts = fly_once(
+            rig_library.load("sim"), 11, ("pilot_takeover@take-off+2",), tmp_path, lambda _: None
+        )
         seen = watched.result()
-    assert facts.outcome == "committed"
+    assert facts.outcome == "pilot_override"
     assert json.loads(seen["/sender/state"][1])["armed"] in (True, False)
     scene = SceneUpdate.get_schema()
     decode = DecoderFactory().decoder_for(
