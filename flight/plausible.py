@@ -143,7 +143,7 @@ def _ranges(rig: Rig, mission: MissionConfig) -> Found:
             "mission.follow",
             f"the target is {z:.2f} m before the sender's camera; depth is trusted within [depth] min_m = "
             f"{method.min_depth_m:g} m and max_m = {method.max_depth_m:g} m; "
-            "beyond it a rangefinder would do, as [height] says it",
+            "beyond it a rangefinder would do, as [height] says it, for what is no higher than wide",
         )
 
 

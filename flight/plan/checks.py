@@ -25,6 +25,7 @@ from flight.plan.geometry import (
     Floats,
     Layout,
     apparent,
+    depression_rad,
     followed_at,
     layout,
     tilts,
@@ -198,7 +199,7 @@ def _within_reach(of: Flown) -> str:
         ways.append(f"{nearer_m:.1f} m")
     if range_m > method.max_depth_m:
         ways.append(f"[depth] max_m = {range_m:.1f}")
-        if not of.facts.target.flies:
+        if not of.facts.target.flies and _hides_m(of) <= of.facts.target.span_m:
             up_m = math.ceil(1.2 * of.mission.follow.height_m)
             ways.append(f"a rangefinder ([height] rangefinder_max_m = {up_m:d})")
     return f"{', or '.join(ways)} would do"
@@ -212,7 +213,9 @@ def _behind(of: Flown) -> Problem | None:
     span_m = of.facts.target.span_m
     sigma_m = method.depth_sigma_at_1m_m * of.range_m**2
     most_m = MOST_DEPTH_SIGMA * span_m
-    if sigma_m <= most_m or not method.min_depth_m <= of.range_m <= method.max_depth_m:
+    if of.range_m > method.max_depth_m:
+        return _behind_without_depth(of)
+    if sigma_m <= most_m or of.range_m < method.min_depth_m:
         return None
     nearer_m = of.range_m * math.sqrt(most_m / sigma_m)
     better_m = method.depth_sigma_at_1m_m * most_m / sigma_m
@@ -222,6 +225,30 @@ def _behind(of: Flown) -> Problem | None:
         " across: it cannot be told from what is right behind it",
         f"{nearer_m:.1f} m would do, or a depth.sigma_at_1m_m of {better_m:.2g} m",
     )
+
+
+def _behind_without_depth(of: Flown) -> Problem | None:
+    """Check that, where ranges are of a whole box, nothing fits into a target's box behind it.
+
+    Of two in one box the range by ground or size is of neither.
+    """
+    target = of.facts.target
+    hides_m = _hides_m(of)
+    if range_of(of.facts, of.range_m) is None or target.flies or hides_m <= target.span_m:
+        return None
+    return Problem(
+        "mission.follow",
+        f"the target is {of.range_m:.1f} m from D1's camera, and depth is trusted up to"
+        f" {of.facts.method.max_depth_m:g} m: ground and size tell the range of a whole box only, and whoever stands"
+        f" up to {hides_m:.1f} m behind a target {target.height_m:.2f} m high and {target.span_m:.2f} m across is in"
+        " its box",
+        _within_reach(of),
+    )
+
+
+def _hides_m(of: Flown) -> float:
+    """Return how far behind its own place the target hides the ground from D1."""
+    return of.facts.target.height_m / math.tan(depression_rad(of.facts))
 
 
 def _viewpoint(of: Flown) -> Problem | None:
