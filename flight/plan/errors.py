@@ -41,6 +41,8 @@ CENTER_PX = 1.0
 SIDE_SHARE = 0.0025
 BOX_PX = 1.5
 LASTING_CORNER_PX = 0.05
+# of the same corners from frame to frame, as much as D2's filter leaves of it
+CORNER_PX = 0.05
 LATE_S = 0.005
 MOUNT_DEG = 0.3
 # of the target's diameter: the middle depth of its box against the surface in the box's middle
@@ -157,8 +159,19 @@ def _pose_sigmas(facts: Facts, viewpoint: Viewpoint) -> _PoseSigmas:
     angle_rad = math.sqrt((turn_rad**2 + 2.0 * level_rad**2) / 3.0)
     along_m = distance_m * math.hypot(SIDE_SHARE, LASTING_CORNER_PX / viewpoint.marker_px)
     place_m = along_m / math.sqrt(3.0)
-    camera_m = math.sqrt(along_m**2 + 2.0 * (distance_m * angle_rad) ** 2)
-    return _PoseSigmas(place_m, angle_rad, camera_m)
+    return _PoseSigmas(place_m, angle_rad, _camera_m(viewpoint, distance_m, slant, level_rad))
+
+
+def _camera_m(viewpoint: Viewpoint, distance_m: float, slant: float, level_rad: float) -> float:
+    """Return the root mean square error of D2's camera in the plate's frame in a single frame.
+
+    The turn about level axes is read off the plate too: of a large one better than off gravity.
+    """
+    corner = math.hypot(LASTING_CORNER_PX, CORNER_PX) / viewpoint.marker_px
+    turn_rad = corner / math.sin(slant)
+    both_rad = 1.0 / math.hypot(1.0 / turn_rad, 1.0 / max(level_rad, 1e-9))
+    across = 2.0 * (turn_rad**2 + 2.0 * both_rad**2) / 3.0
+    return distance_m * math.sqrt(SIDE_SHARE**2 + corner**2 + across)
 
 
 def _lens_rad(focal_px: float) -> float:

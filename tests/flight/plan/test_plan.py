@@ -420,3 +420,14 @@ def between_rad(placed: Layout) -> float:
     to_receiver = placed.T_h_c2.t - placed.target_h
     lengths = float(np.linalg.norm(to_sender) * np.linalg.norm(to_receiver))
     return math.acos(float(to_sender @ to_receiver) / lengths)
+
+
+def test_d2_reads_the_turn_of_a_large_plate_off_the_plate_and_not_off_gravity(
+    rig_of: RigOf,
+) -> None:
+    """Of 4K images D2 was expected at 5 mm, by the attitude's error alone; 1 mm was flown."""
+    few, many = (of(rig_of(CAR + cameras(times), f"turn{times:g}")) for times in (1.0, 4.0))
+    small, large = (predict(each.facts, each.placed).receiver_m for each in (few, many))
+    assert large < 0.6 * small
+    gravity_m = 1.05 * many.facts.attitude_sigma_rad / 3.0
+    assert large < gravity_m
