@@ -36,7 +36,11 @@ class Arrivals:
         return len(within) / WINDOW_S, longest_ns * 1e-9
 
 
-def too_slow(streams: Mapping[str, Arrivals], now_ns: int, oldest_s: float) -> str:
+def too_slow(
+    streams: Mapping[str, Arrivals],
+    now_ns: int,
+    oldest_s: float,
+) -> str:
     """Return which streams come too seldom for a flight that ends when one is older than
     ``oldest_s``; else empty.
     """

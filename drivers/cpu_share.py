@@ -67,7 +67,11 @@ def _mount(fields: Sequence[str]) -> tuple[str, Path, str, Sequence[str]]:
     return fields[3], Path(fields[4]), rest[0], rest[-1].split(",")
 
 
-def _below(point: Path, root: str, path: str) -> Path:
+def _below(
+    point: Path,
+    root: str,
+    path: str,
+) -> Path:
     """The folder of a group, of which the mount may show only a part."""
     inside = path.removeprefix(root) if root != "/" else path
     return point / inside.strip("/")
@@ -81,7 +85,12 @@ class CpuShare:
     remove theirs go when the next one is made.
     """
 
-    def __init__(self, name: str, share: float, found: Sequence[Hierarchy] | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        share: float,
+        found: Sequence[Hierarchy] | None = None,
+    ) -> None:
         if not LEAST <= share <= 1.0:
             raise PartError(
                 f"a share of {share:g} of a core is not within {LEAST:g}..1",

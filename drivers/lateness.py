@@ -36,7 +36,12 @@ class CoreWaits:
         tasks, stat: what the kernel tells of this process's threads, and of the cores.
     """
 
-    def __init__(self, own: int | None = None, tasks: Path = TASKS, stat: Path = STAT) -> None:
+    def __init__(
+        self,
+        own: int | None = None,
+        tasks: Path = TASKS,
+        stat: Path = STAT,
+    ) -> None:
         self._own = str(threading.get_native_id() if own is None else own)
         self._tasks = tasks
         self._files: dict[str, int] = {}

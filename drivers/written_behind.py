@@ -35,7 +35,12 @@ class WrittenBehind:
         name: of the thread.
     """
 
-    def __init__(self, write: Callable[[bytes], object], most_bytes: int, name: str) -> None:
+    def __init__(
+        self,
+        write: Callable[[bytes], object],
+        most_bytes: int,
+        name: str,
+    ) -> None:
         self.lost = 0
         """How many of what was put found no room."""
         self.error: Exception | None = None

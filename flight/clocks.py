@@ -41,10 +41,17 @@ class PingResult(Enum):
     INCONSISTENT = "inconsistent"
 
 
-def answer(ping: Ping, received_ns: int, now_ns: int) -> Pong:
+def answer(
+    ping: Ping,
+    received_ns: int,
+    now_ns: int,
+) -> Pong:
     """The pong for a ping that came in at ``received_ns``, to be sent at once."""
     return Pong(
-        nonce=ping.nonce, ping_sent_ns=ping.sent_ns, received_ns=received_ns, sent_ns=now_ns
+        nonce=ping.nonce,
+        ping_sent_ns=ping.sent_ns,
+        received_ns=received_ns,
+        sent_ns=now_ns,
     )
 
 

@@ -34,7 +34,12 @@ class CommandEnd(Enum):
     STOPPED = ("stopped", 130, "Ctrl-C, in a command that does not fly")
     READER_GONE = ("reader_gone", 141, "whoever read the output has closed it, as `head` does")
 
-    def __init__(self, label: str, exit_code: int, meaning: str) -> None:
+    def __init__(
+        self,
+        label: str,
+        exit_code: int,
+        meaning: str,
+    ) -> None:
         self.label = label
         self.exit_code = exit_code
         self.meaning = meaning

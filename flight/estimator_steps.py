@@ -80,7 +80,11 @@ class _Residuals:
         self._lately: deque[tuple[int, Sequence[float]]] = deque()
 
     def is_step(
-        self, stamp_ns: int, residual: Sequence[float], explained: float, share: float
+        self,
+        stamp_ns: int,
+        residual: Sequence[float],
+        explained: float,
+        share: float,
     ) -> bool:
         """Return whether a residual is a step: more than what explains it, and than noise.
 
@@ -198,7 +202,12 @@ class StepWatch:
         moved_m = subtract(state.position_n_m, before.position_n_m)
         return subtract(moved_m, scale(mean_mps, dt_s))
 
-    def _note_walk(self, residual_n_m: Vec3, before: VehicleState, state: VehicleState) -> None:
+    def _note_walk(
+        self,
+        residual_n_m: Vec3,
+        before: VehicleState,
+        state: VehicleState,
+    ) -> None:
         dt_s = (state.stamp_ns - before.stamp_ns) * 1e-9
         north, east, down = residual_n_m
         out_north, out_east = self._walk_across.taken_out((north, east), dt_s)
@@ -254,7 +263,12 @@ class StepWatch:
         since_s = (last_ns - first_ns) * 1e-9
         return wrapped(last_rad - first_rad) / since_s, since_s
 
-    def _note_heading(self, stamp_ns: int, yaw_rad: float, step_rad: float) -> None:
+    def _note_heading(
+        self,
+        stamp_ns: int,
+        yaw_rad: float,
+        step_rad: float,
+    ) -> None:
         if step_rad:
             self._headings = deque((at_ns, before + step_rad) for at_ns, before in self._headings)
         while len(self._headings) > 2 and stamp_ns - self._headings[0][0] > LATELY_NS:

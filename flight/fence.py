@@ -68,7 +68,11 @@ class Fence:
         return north, east, down
 
     def stoppable(
-        self, velocity_n_mps: Vec3, position_n_m: Vec3, accel_mps2: float, response_s: float
+        self,
+        velocity_n_mps: Vec3,
+        position_n_m: Vec3,
+        accel_mps2: float,
+        response_s: float,
     ) -> Vec3:
         """Return a velocity without what would take a drone to an edge, or to the ceiling of a site
         that has edges, faster than it can stop.
@@ -118,7 +122,13 @@ class Fence:
             crossings += north_m < n1 + (east_m - e1) / (e2 - e1) * (n2 - n1)
         return crossings % 2 == 1
 
-    def _moved_in(self, north_m: float, east_m: float, room_m: float, by_m: float) -> Corner:
+    def _moved_in(
+        self,
+        north_m: float,
+        east_m: float,
+        room_m: float,
+        by_m: float,
+    ) -> Corner:
         """Return a place moved inward, square to its nearest edge."""
         here = north_m, east_m
         points = self._on_edges(north_m, east_m)
@@ -142,7 +152,11 @@ class Fence:
         return max(sides, key=lambda side: self.room_m(*side))
 
 
-def _stopping_mps(room_m: float, accel_mps2: float, response_s: float) -> float:
+def _stopping_mps(
+    room_m: float,
+    accel_mps2: float,
+    response_s: float,
+) -> float:
     """Return the speed from which a drone stops within a distance; 0 without room."""
     if room_m <= 0.0:
         return 0.0
@@ -150,7 +164,11 @@ def _stopping_mps(room_m: float, accel_mps2: float, response_s: float) -> float:
     return math.sqrt(late_mps * late_mps + 2.0 * accel_mps2 * room_m) - late_mps
 
 
-def _on_edge(place: Corner, first: Corner, second: Corner) -> Corner:
+def _on_edge(
+    place: Corner,
+    first: Corner,
+    second: Corner,
+) -> Corner:
     """Return the point of an edge that is nearest to a place."""
     along = second[0] - first[0], second[1] - first[1]
     square = along[0] * along[0] + along[1] * along[1]

@@ -76,7 +76,12 @@ class GroundBelow:
             return ""
         return self._measure(state.position_n_m[2], upright * below.distance_m, below.sigma_m)
 
-    def _measure(self, down_m: float, height_m: float, told_sigma_m: float | None) -> str:
+    def _measure(
+        self,
+        down_m: float,
+        height_m: float,
+        told_sigma_m: float | None,
+    ) -> str:
         sigma_m = max(told_sigma_m or 0.0, self._facts.rangefinder_sigma_m)
         noise = sigma_m**2
         off_m = down_m + height_m - self._down_m

@@ -56,14 +56,22 @@ wind lifts it.
 """
 
 
-def within_fence(place_n_m: Vec3, radius_m: float, height_m: float) -> Vec3:
+def within_fence(
+    place_n_m: Vec3,
+    radius_m: float,
+    height_m: float,
+) -> Vec3:
     """The nearest place that is no farther from the origin, and no higher."""
     north, east, down = place_n_m
     share = min(1.0, max(0.0, radius_m) / max(math.hypot(north, east), 1e-9))
     return share * north, share * east, max(down, -max(0.0, height_m))
 
 
-def way_until_away(offset_n_m: Vec3, along_n: Vec3, distance_m: float) -> float:
+def way_until_away(
+    offset_n_m: Vec3,
+    along_n: Vec3,
+    distance_m: float,
+) -> float:
     """Return the way along a level unit vector until the level distance from something is so
     large; 0: it is already.
 
@@ -77,7 +85,10 @@ def way_until_away(offset_n_m: Vec3, along_n: Vec3, distance_m: float) -> float:
 
 
 def close_in(
-    error_n_m: Vec3, feed_forward_n_mps: Vec3, gain_per_s: float, max_speed_mps: float
+    error_n_m: Vec3,
+    feed_forward_n_mps: Vec3,
+    gain_per_s: float,
+    max_speed_mps: float,
 ) -> Vec3:
     """Proportional pursuit of a (moving) point: the correction is limited, the feed-forward is
     not.
@@ -100,7 +111,10 @@ class Answer:
 
 
 def approach(
-    error_n_m: Vec3, velocity_n_mps: Vec3, feed_forward_n_mps: Vec3, answer: Answer
+    error_n_m: Vec3,
+    velocity_n_mps: Vec3,
+    feed_forward_n_mps: Vec3,
+    answer: Answer,
 ) -> Vec3:
     """The velocity towards a (moving) point at which a vehicle that answers late comes to rest, and
     not behind it.
@@ -118,7 +132,10 @@ def approach(
 
 
 def spare_accel(
-    accel_mps2: float, speed_mps: float, target_accel_mps2: float, response_s: float
+    accel_mps2: float,
+    speed_mps: float,
+    target_accel_mps2: float,
+    response_s: float,
 ) -> float:
     """Return what is left of a vehicle's acceleration to come nearer with, if what it comes to
     brakes meanwhile.
@@ -139,7 +156,10 @@ class Anchor:
     yaw_rad: float
 
     def hold(
-        self, state: VehicleState, gain_per_s: float = 0.8, max_speed_mps: float = 0.8
+        self,
+        state: VehicleState,
+        gain_per_s: float = 0.8,
+        max_speed_mps: float = 0.8,
     ) -> VelocitySetpoint:
         error = subtract(self.position_n_m, state.position_n_m)
         return VelocitySetpoint(
@@ -148,7 +168,10 @@ class Anchor:
 
 
 def slew(
-    previous: VelocitySetpoint, wanted: VelocitySetpoint, dt_s: float, max_accel: float
+    previous: VelocitySetpoint,
+    wanted: VelocitySetpoint,
+    dt_s: float,
+    max_accel: float,
 ) -> VelocitySetpoint:
     """Limit the change of velocity between two setpoints to ``max_accel`` (m/s^2)."""
     change = limit(subtract(wanted.velocity_n_mps, previous.velocity_n_mps), max_accel * dt_s)

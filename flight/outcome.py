@@ -120,7 +120,12 @@ class Outcome(Enum):
         "another object was handed over than the one that was designated",
     )
 
-    def __init__(self, label: str, exit_code: int, meaning: str) -> None:
+    def __init__(
+        self,
+        label: str,
+        exit_code: int,
+        meaning: str,
+    ) -> None:
         self.label = label
         self.exit_code = exit_code
         self.meaning = meaning

@@ -49,7 +49,11 @@ class SteadyVehicle:
         self._ends: list[tuple[Quat, Quat]] = []
 
     @classmethod
-    def of(cls, vehicle: Vehicle, config: MissionConfig) -> Self:
+    def of(
+        cls,
+        vehicle: Vehicle,
+        config: MissionConfig,
+    ) -> Self:
         """The vehicle, made steady where it is not."""
         return vehicle if isinstance(vehicle, cls) else cls(vehicle, config)
 

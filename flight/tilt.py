@@ -23,7 +23,12 @@ class Tilt:
         north, east, down = R_n_b[:, 2].tolist()
         self.down_n = add(scale(self.down_n, 1.0 - _SHARE), scale((north, east, down), _SHARE))
 
-    def aim(self, axis_b: Vec3, heading_rad: float, below_m: float) -> Vec3:
+    def aim(
+        self,
+        axis_b: Vec3,
+        heading_rad: float,
+        below_m: float,
+    ) -> Vec3:
         """Return how much farther to one side a drone has to be for its camera to look where a
         level one would.
 

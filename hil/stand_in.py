@@ -49,7 +49,13 @@ ADDRESSES = (7, 5)  # of the beacons on the target and on D1, as in the rigs
 class Film:
     """What a drone's camera sees, drawn and sent while somebody wants it."""
 
-    def __init__(self, rig: Rig, role: Role, seed: int, world: World) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        role: Role,
+        seed: int,
+        world: World,
+    ) -> None:
         camera = rig.role(role).camera
         self.video = TelloVideo(TelloVideoConfig(camera.width, camera.height, FRAMES_HZ), seed)
         self._view = CameraView(as_built(rig, seed), role, seed, depth=False)
@@ -71,7 +77,13 @@ class Film:
 class Hedgehog:
     """A beacon on the target, or on D1, behind a serial port; its frame is east, north, up."""
 
-    def __init__(self, number: int, link: Path, seed: int, world: World) -> None:
+    def __init__(
+        self,
+        number: int,
+        link: Path,
+        seed: int,
+        world: World,
+    ) -> None:
         self.cable = SerialCable(link)
         self.cable.plug()
         name = "target" if number == 0 else "sender"
@@ -98,7 +110,12 @@ class Hedgehog:
 
 
 def parts_of(
-    kind: str, rig: Rig, seed: int, world: World, places: list[str], stack: ExitStack
+    kind: str,
+    rig: Rig,
+    seed: int,
+    world: World,
+    places: list[str],
+    stack: ExitStack,
 ) -> Iterator[Pumped]:
     """Yield what is pumped of each stand-in, closed with the stack. Raises OSError for a port that
     is taken.

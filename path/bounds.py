@@ -98,7 +98,11 @@ def out_of_bounds(config: object) -> list[tuple[str, str]]:
     return wrong
 
 
-def refusal(name: str, value: float, bounds: Bounds) -> str:
+def refusal(
+    name: str,
+    value: float,
+    bounds: Bounds,
+) -> str:
     """Return why a field's value is refused: the value, what is allowed, and the likely mistake."""
     unit = unit_of(name, bounds)
     shown = f" {unit}" if unit and not unit.startswith("(") else ""
@@ -114,7 +118,11 @@ def unit_of(name: str, bounds: Bounds) -> str:
     return bounds.unit or UNITS.get(name.rpartition("_")[2], "")
 
 
-def _likely(value: float, bounds: Bounds, unit: str) -> str:
+def _likely(
+    value: float,
+    bounds: Bounds,
+    unit: str,
+) -> str:
     for factor, meant in _MISTAKES.get(unit, ()) if abs(value) > bounds.high else ():
         if bounds.holds(value * factor):
             return f": {meant}?"

@@ -37,7 +37,10 @@ def around(boxes: Sequence[Box]) -> Box:
     x = min(each.x for each in boxes)
     y = min(each.y for each in boxes)
     return Box(
-        x, y, max(each.x + each.w for each in boxes) - x, max(each.y + each.h for each in boxes) - y
+        x,
+        y,
+        max(each.x + each.w for each in boxes) - x,
+        max(each.y + each.h for each in boxes) - y,
     )
 
 

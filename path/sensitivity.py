@@ -82,12 +82,21 @@ def directions(count: int, rng: np.random.Generator) -> Array:
     return raw / np.linalg.norm(raw, axis=1, keepdims=True)
 
 
-def project(camera: CameraModel, T_c2_v: Pose, point_v: Vector) -> Array:
+def project(
+    camera: CameraModel,
+    T_c2_v: Pose,
+    point_v: Vector,
+) -> Array:
     """Pixel of a point in ``v``, shape (2,) (eqs. target_d2 to d2_projection)."""
     return camera.project(T_c2_v.apply(point_v)[None])[0]
 
 
-def depth_error2(camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_m: float) -> Array:
+def depth_error2(
+    camera: CameraModel,
+    T_c2_v: Pose,
+    point_v: Vector,
+    error_m: float,
+) -> Array:
     """Squared displacements, px^2, shape (2,), for a depth that is too large and one that is too
     small.
     """
@@ -96,7 +105,11 @@ def depth_error2(camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_m: fl
 
 
 def translation_error2(
-    camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_m: float, toward: Array
+    camera: CameraModel,
+    T_c2_v: Pose,
+    point_v: Vector,
+    error_m: float,
+    toward: Array,
 ) -> Array:
     """Squared displacements, px^2, shape (n,), for errors of the translation in the directions
     ``toward``, (n, 3).
@@ -105,7 +118,11 @@ def translation_error2(
 
 
 def rotation_error2(
-    camera: CameraModel, T_c2_v: Pose, point_v: Vector, error_rad: float, axes: Array
+    camera: CameraModel,
+    T_c2_v: Pose,
+    point_v: Vector,
+    error_rad: float,
+    axes: Array,
 ) -> Array:
     """Squared displacements, px^2, shape (n,), for errors of the rotation about ``axes``, (n, 3)
     unit vectors.
@@ -121,7 +138,10 @@ def rotation_error2(
 
 
 def first_order(
-    camera: CameraModel, T_c2_v: Pose, point_v: Vector, errors: ReferenceErrors
+    camera: CameraModel,
+    T_c2_v: Pose,
+    point_v: Vector,
+    errors: ReferenceErrors,
 ) -> Terms:
     """The terms by the projection's derivatives, averaged over all directions in closed form.
 
@@ -139,5 +159,10 @@ def first_order(
     )
 
 
-def _displaced2(camera: CameraModel, T_c2_v: Pose, point_v: Vector, moved_c2: Array) -> Array:
+def _displaced2(
+    camera: CameraModel,
+    T_c2_v: Pose,
+    point_v: Vector,
+    moved_c2: Array,
+) -> Array:
     return np.sum((camera.project(moved_c2) - project(camera, T_c2_v, point_v)) ** 2, axis=1)

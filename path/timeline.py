@@ -87,7 +87,12 @@ class Track:
             return Between(sample, after, values)
         return None
 
-    def ahead(self, stamp_ns: int, slope_span_s: float, limit_s: float) -> Values | None:
+    def ahead(
+        self,
+        stamp_ns: int,
+        slope_span_s: float,
+        limit_s: float,
+    ) -> Values | None:
         """Linear extrapolation beyond the newest sample, at most ``limit_s``; None further on or
         without values.
 

@@ -69,7 +69,12 @@ def _decoded(content: bytes) -> str:
     return content.decode("utf-8-sig", errors="replace")
 
 
-def _fix(file: Path, number: int, line: str, separator: str) -> BeaconFix:
+def _fix(
+    file: Path,
+    number: int,
+    line: str,
+    separator: str,
+) -> BeaconFix:
     fields = next(csv.reader([line], delimiter=separator), [])
     place = fields[4:COLUMNS_READ]
     # Of columns that commas separate, one may still be quoted: "4,102".
@@ -95,12 +100,20 @@ def _fix(file: Path, number: int, line: str, separator: str) -> BeaconFix:
         raise _bad(file, number, line, "has a number that is not finite")
     if max(abs(x), abs(y), abs(z)) > FARTHEST_M:
         raise _bad(
-            file, number, line, "has a place farther off than ultrasound is heard: millimetres?"
+            file,
+            number,
+            line,
+            "has a place farther off than ultrasound is heard: millimetres?",
         )
     return BeaconFix(1_000_000 * unix_ms, address, (x, y, z))
 
 
-def _bad(file: Path, number: int, line: str, what: str) -> BeaconError:
+def _bad(
+    file: Path,
+    number: int,
+    line: str,
+    what: str,
+) -> BeaconError:
     return BeaconError(
         f"{file}, line {number}: {line!r} {what}", f"a line is {IN_WORDS}; leave others out"
     )

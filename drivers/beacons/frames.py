@@ -216,14 +216,23 @@ def _decoded(frame: bytes) -> tuple[Packet, int]:
     return packet, code
 
 
-def _position(layout: str, unit_m: float, stamp_bits: int, body: bytes) -> MobilePosition:
+def _position(
+    layout: str,
+    unit_m: float,
+    stamp_bits: int,
+    body: bytes,
+) -> MobilePosition:
     stamp_ms, x, y, z, flags, address, angle, age_ms = struct.unpack_from(layout, body)
     position_m = None if flags & UNAVAILABLE else (unit_m * x, unit_m * y, unit_m * z)
     orientation_rad = None if angle & NO_ANGLE else math.radians(0.1 * (angle & ANGLE_MASK))
     return MobilePosition(address, stamp_ms, stamp_bits, age_ms, position_m, orientation_rad)
 
 
-def _stationary(layout: str, unit_m: float, body: bytes) -> StationaryPositions | None:
+def _stationary(
+    layout: str,
+    unit_m: float,
+    body: bytes,
+) -> StationaryPositions | None:
     each = struct.calcsize(layout)
     if len(body) != 1 + body[0] * each:
         return None

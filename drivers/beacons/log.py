@@ -85,7 +85,11 @@ def read_beacons(file: Path) -> list[BeaconFix]:
         return [_fix(file, number, row) for number, row in enumerate(rows, 2) if row]
 
 
-def _fix(file: Path, number: int, row: list[str]) -> BeaconFix:
+def _fix(
+    file: Path,
+    number: int,
+    row: list[str],
+) -> BeaconFix:
     try:
         stamp, address, *rest, quality = row
         x, y, z = map(float, rest)

@@ -161,7 +161,12 @@ class Marvelmind:
             self.given_up += 1
         self._news.set()
 
-    def _take(self, port: _Port, arrival_ns: int, data: bytes) -> None:
+    def _take(
+        self,
+        port: _Port,
+        arrival_ns: int,
+        data: bytes,
+    ) -> None:
         if self.on_bytes is not None:
             self.on_bytes(port.name, arrival_ns, data)
         self._waiting.extend(self.stream.feed(port.name, arrival_ns, data))

@@ -26,12 +26,23 @@ class BeaconRecorder:
     raises.
     """
 
-    def __init__(self, file: Path, latency_s: float, *, virtual: bool = False) -> None:
+    def __init__(
+        self,
+        file: Path,
+        latency_s: float,
+        *,
+        virtual: bool = False,
+    ) -> None:
         """``virtual``: what is written was heard in virtual time."""
         self._log = virtual_log(file, "beacons") if virtual else McapLog(file, "beacons")
         self._log.write("/beacons", 0, {"latency_s": latency_s})
 
-    def write(self, port: str, arrival_ns: int, data: bytes) -> None:
+    def write(
+        self,
+        port: str,
+        arrival_ns: int,
+        data: bytes,
+    ) -> None:
         self._log.write("/serial", arrival_ns, {"port": port, "bytes": data.hex()})
 
     def close(self) -> None:
@@ -58,7 +69,9 @@ def replay(file: Path, stream: MarvelmindStream | None = None) -> Iterator[Beaco
     for record in records:
         if record.topic == "/serial":
             yield from parser.feed(
-                record.record["port"], record.stamp_ns, bytes.fromhex(record.record["bytes"])
+                record.record["port"],
+                record.stamp_ns,
+                bytes.fromhex(record.record["bytes"]),
             )
 
 

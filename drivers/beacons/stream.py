@@ -42,7 +42,12 @@ class ClockMap:
         self._least: deque[tuple[int, int]] = deque()
         self.restarts = 0
 
-    def add(self, stamp_ns: int, arrival_ns: int, age_ns: int) -> int:
+    def add(
+        self,
+        stamp_ns: int,
+        arrival_ns: int,
+        age_ns: int,
+    ) -> int:
         """The offset at this stamp: add it to a stamp of the system to get the listener's."""
         offset_ns = arrival_ns - age_ns - stamp_ns
         least = self._least
@@ -110,7 +115,12 @@ class MarvelmindStream:
         self.ports: dict[str, PortState] = {}
         self.stationary_m: dict[int, Vec3] = {}
 
-    def feed(self, port: str, arrival_ns: int, data: bytes) -> list[BeaconFix]:
+    def feed(
+        self,
+        port: str,
+        arrival_ns: int,
+        data: bytes,
+    ) -> list[BeaconFix]:
         """The positions that are complete with these bytes.
 
         Args:
@@ -130,7 +140,12 @@ class MarvelmindStream:
             state.newest_fix_ns = arrival_ns
         return fixes
 
-    def _take(self, state: PortState, packet: Packet, arrival_ns: int) -> BeaconFix | None:
+    def _take(
+        self,
+        state: PortState,
+        packet: Packet,
+        arrival_ns: int,
+    ) -> BeaconFix | None:
         match packet:
             case MobilePosition():
                 return self._fix(state, packet, arrival_ns)
@@ -144,11 +159,18 @@ class MarvelmindStream:
                 pass
         return None
 
-    def _fix(self, state: PortState, packet: MobilePosition, arrival_ns: int) -> BeaconFix | None:
+    def _fix(
+        self,
+        state: PortState,
+        packet: MobilePosition,
+        arrival_ns: int,
+    ) -> BeaconFix | None:
         hedge = state.hedges.setdefault(packet.address, _Hedge())
         stamp_ns = hedge.stamp(packet)
         offset_ns = hedge.clock.add(
-            stamp_ns, arrival_ns, packet.age_ms * 1_000_000 or self._latency_ns
+            stamp_ns,
+            arrival_ns,
+            packet.age_ms * 1_000_000 or self._latency_ns,
         )
         if packet.position_m is None:
             state.unavailable += 1

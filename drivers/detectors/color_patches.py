@@ -84,7 +84,11 @@ def components(mask: Image) -> list[Patch]:
     return patches
 
 
-def join(patches: list[Patch], gap: float, longest: float = math.inf) -> list[Patch]:
+def join(
+    patches: list[Patch],
+    gap: float,
+    longest: float = math.inf,
+) -> list[Patch]:
     """Join patches whose pixels are closer than ``gap`` times the size of the larger one.
 
     Those that are longer together than one object can be, in coarse pixels, are several.
@@ -106,7 +110,12 @@ def join(patches: list[Patch], gap: float, longest: float = math.inf) -> list[Pa
     return joined
 
 
-def with_dark(patch: Patch, dark: Image, colored: Image, reach: float) -> Patch:
+def with_dark(
+    patch: Patch,
+    dark: Image,
+    colored: Image,
+    reach: float,
+) -> Patch:
     """The patch with the dark parts that touch it; a dark thing that goes on beyond ``reach`` is
     not part of it.
 
@@ -265,7 +274,9 @@ def _dents(outline: Image, least: float) -> list[int]:
 
 
 def _shortest_cut(
-    outline: Image, filled: Image, dents: Sequence[int]
+    outline: Image,
+    filled: Image,
+    dents: Sequence[int],
 ) -> tuple[tuple[int, int], tuple[int, int]] | None:
     """Ends of the cut from a dent that is shortest for the smaller part's size, within the outline;
     None: none is.
@@ -284,7 +295,9 @@ def _shortest_cut(
         smaller = np.minimum(part, area - part)
         length = np.hypot(x - x[dent], y - y[dent]) + 1.0
         worth = np.where(
-            smaller >= SMALLEST_CUT_OFF * area, length / np.sqrt(np.maximum(smaller, 1.0)), np.inf
+            smaller >= SMALLEST_CUT_OFF * area,
+            length / np.sqrt(np.maximum(smaller, 1.0)),
+            np.inf,
         )
         for end in np.argsort(worth)[:CUTS].tolist():
             if worth[end] >= best:

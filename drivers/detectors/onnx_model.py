@@ -19,7 +19,11 @@ FLOAT = "tensor(float)"
 HALF = "tensor(float16)"
 
 
-def open_session(file: Path, threads: int, remedy: str) -> onnxruntime.InferenceSession:
+def open_session(
+    file: Path,
+    threads: int,
+    remedy: str,
+) -> onnxruntime.InferenceSession:
     """A network on the CPU. Raises PartError when there is none."""
     if not file.is_file():
         raise PartError(f"{file}: there is no such file; expected a network in ONNX", remedy)
@@ -70,7 +74,12 @@ class Tensor:
 class OnnxModel:
     """A network with one input. What it computes with is float32 or float16; here it is float32."""
 
-    def __init__(self, file: Path, threads: int, remedy: str) -> None:
+    def __init__(
+        self,
+        file: Path,
+        threads: int,
+        remedy: str,
+    ) -> None:
         """Raise PartError when the file is no network."""
         self._session = open_session(file, threads, remedy)
         self.inputs = tuple(_tensor(node) for node in self._session.get_inputs())

@@ -40,7 +40,12 @@ class XFeat:
     distance: Distance = "cosine"
     side_px: int | None = SIDE_PX
 
-    def __init__(self, weights: Path, top_k: int = 4096, threads: int = 1) -> None:
+    def __init__(
+        self,
+        weights: Path,
+        top_k: int = 4096,
+        threads: int = 1,
+    ) -> None:
         """Load the network.
 
         Args:
@@ -117,7 +122,10 @@ def _heatmap(logits: Singles) -> Singles:
 
 
 def _keypoints(
-    heatmap: Singles, reliability: Singles, width: int, height: int
+    heatmap: Singles,
+    reliability: Singles,
+    width: int,
+    height: int,
 ) -> tuple[Singles, Singles]:
     """Local maxima (n, 2) of the heatmap within ``width`` x ``height``, and their scores (n,)."""
     highest = cv2.dilate(heatmap, np.ones((NMS_SIDE_PX, NMS_SIDE_PX), np.uint8))
@@ -128,7 +136,7 @@ def _keypoints(
     points = np.column_stack((u, v)).astype(np.float32)
     at = _on_map(points)
     reliable = cv2.remap(
-        reliability, at[:, :1].copy(), at[:, 1:].copy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
+        reliability, at[:, :1].copy(), at[:, 1:].copy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
     ).ravel() if len(points) else np.zeros(0, np.float32)  # fmt: skip
     return points, (heatmap[v, u] * reliable).astype(np.float32)
 

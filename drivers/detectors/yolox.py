@@ -151,7 +151,11 @@ class YoloxDetector:
         return tensor, w / width, h / height
 
 
-def _scored(config: YoloxDetectorConfig, file: Path, count: int) -> Flags:
+def _scored(
+    config: YoloxDetectorConfig,
+    file: Path,
+    count: int,
+) -> Flags:
     """Return which of the model's classes are looked for. Raises PartError."""
     names = COCO if config.names is None else _read_names(config.names)
     if not config.classes:
@@ -185,7 +189,10 @@ def _read_names(file: Path) -> tuple[str, ...]:
 
 
 def _window(
-    region: Region | None, reach_px: float, width: int, height: int
+    region: Region | None,
+    reach_px: float,
+    width: int,
+    height: int,
 ) -> tuple[int, int, int, int] | None:
     """The part of the image to look at, ``x0 y0 x1 y1``; None when the region is outside."""
     if region is None:

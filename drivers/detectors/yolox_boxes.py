@@ -14,7 +14,11 @@ STRIDES = (8, 16, 32)
 MOST_KEPT = 300  # boxes that suppression looks at, the best
 
 
-def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[Singles, Singles]:
+def grid(
+    height: int,
+    width: int,
+    strides: tuple[int, ...] = STRIDES,
+) -> tuple[Singles, Singles]:
     """Cells of all levels in the order of the output: their indices (n, 2), column first, and their
     strides (n, 1).
     """
@@ -28,7 +32,11 @@ def grid(height: int, width: int, strides: tuple[int, ...] = STRIDES) -> tuple[S
 
 
 def decode(
-    raw: Singles, cells: Singles, steps: Singles, scored: Flags, least: float
+    raw: Singles,
+    cells: Singles,
+    steps: Singles,
+    scored: Flags,
+    least: float,
 ) -> tuple[Singles, ...]:
     """Boxes that score at least ``least``, of an output in cells.
 
@@ -47,7 +55,11 @@ def decode(
     return _finite(boxes, scores, best)
 
 
-def best_boxes(raw: Singles, scored: Flags, least: float) -> tuple[Singles, ...]:
+def best_boxes(
+    raw: Singles,
+    scored: Flags,
+    least: float,
+) -> tuple[Singles, ...]:
     """Boxes that score at least ``least``, of an output in pixels.
 
     Args:
@@ -62,7 +74,11 @@ def best_boxes(raw: Singles, scored: Flags, least: float) -> tuple[Singles, ...]
     return _finite(raw[keep, :4], scores, best)
 
 
-def _best(raw: Singles, scored: Flags, least: float) -> tuple[Whole, Singles, Singles]:
+def _best(
+    raw: Singles,
+    scored: Flags,
+    least: float,
+) -> tuple[Whole, Singles, Singles]:
     """Return the rows that score enough, best first, their scores and their classes."""
     classes = np.flatnonzero(scored)
     best = classes[np.argmax(raw[:, 5:][:, classes], axis=1)]
@@ -72,12 +88,21 @@ def _best(raw: Singles, scored: Flags, least: float) -> tuple[Whole, Singles, Si
     return keep, scores[keep], best[keep].astype(np.float32)
 
 
-def _finite(boxes: Singles, scores: Singles, classes: Singles) -> tuple[Singles, ...]:
+def _finite(
+    boxes: Singles,
+    scores: Singles,
+    classes: Singles,
+) -> tuple[Singles, ...]:
     finite = np.isfinite(boxes).all(axis=1)
     return boxes[finite], scores[finite], classes[finite]
 
 
-def suppress(boxes: Singles, scores: Singles, classes: Singles, most_iou: float) -> Whole:
+def suppress(
+    boxes: Singles,
+    scores: Singles,
+    classes: Singles,
+    most_iou: float,
+) -> Whole:
     """Indices of boxes (m, 4) kept, best first: none overlaps a better one of its class by more
     than ``most_iou``.
     """

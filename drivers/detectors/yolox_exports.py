@@ -85,10 +85,18 @@ def test_picture(height: int, width: int) -> Singles:
     picture[..., 1] = np.linspace(0.0, 255.0, height)[:, None]
     picture[..., 2] = 114.0
     cv2.circle(
-        picture, (width // 2, height // 2), min(height, width) // 5, (255.0, 255.0, 255.0), -1
+        picture,
+        (width // 2, height // 2),
+        min(height, width) // 5,
+        (255.0, 255.0, 255.0),
+        -1,
     )
     cv2.rectangle(
-        picture, (width // 10, height // 10), (width // 4, height // 3), (0.0, 0.0, 0.0), -1
+        picture,
+        (width // 10, height // 10),
+        (width // 4, height // 3),
+        (0.0, 0.0, 0.0),
+        -1,
     )
     return np.ascontiguousarray(picture.transpose(2, 0, 1)[None])
 
@@ -111,7 +119,11 @@ def _by_shape(model: OnnxModel, file: Path) -> tuple[int, int, int]:
     return height, width, _classes(output.shape, height, width, file, found)
 
 
-def _input_size(image: Tensor, file: Path, found: str) -> tuple[int, int]:
+def _input_size(
+    image: Tensor,
+    file: Path,
+    found: str,
+) -> tuple[int, int]:
     """Return height and width. A batch that may be of any size is one of 1. Raises PartError."""
     stride = STRIDES[-1]
     expected = f"expected an input of 1x3xHxW, H and W multiples of {stride}, {found}"
@@ -143,7 +155,13 @@ def _input_size(image: Tensor, file: Path, found: str) -> tuple[int, int]:
     return height, width
 
 
-def _classes(shape: Shape, height: int, width: int, file: Path, found: str) -> int:
+def _classes(
+    shape: Shape,
+    height: int,
+    width: int,
+    file: Path,
+    found: str,
+) -> int:
     """Return the number of classes of an output of YOLOX. Raises PartError naming what else it
     is.
     """
@@ -211,7 +229,12 @@ def _told(tensors: Sequence[Tensor]) -> str:
 # --- by values
 
 
-def _is_decoded(raw: Singles, height: int, width: int, file: Path) -> bool:
+def _is_decoded(
+    raw: Singles,
+    height: int,
+    width: int,
+    file: Path,
+) -> bool:
     """Return whether an output (n, 5 + classes) on the test picture has its boxes in pixels. Raises
     PartError.
 

@@ -42,7 +42,13 @@ class Waiting(Generic[Item]):
             word goes.
     """
 
-    def __init__(self, counters: LinkCounters, most: int, superseded: str, full: str) -> None:
+    def __init__(
+        self,
+        counters: LinkCounters,
+        most: int,
+        superseded: str,
+        full: str,
+    ) -> None:
         self._counters = counters
         self._most = most
         self._reasons = superseded, full
@@ -155,7 +161,12 @@ class LinkEnd:
         self.counters.bytes_sent += len(data) + self._overhead
         return data
 
-    def arrived(self, data: bytes, arrival_ns: int, stranger: bool = False) -> None:
+    def arrived(
+        self,
+        data: bytes,
+        arrival_ns: int,
+        stranger: bool = False,
+    ) -> None:
         """Take a packet as it came: counted, and put into the inbox or dropped by reason. Never
         raises.
         """

@@ -133,7 +133,11 @@ class SerialLink:
         config = self._config
         try:
             port = serial.Serial(
-                config.port, config.baud, timeout=0, write_timeout=0, exclusive=True
+                config.port,
+                config.baud,
+                timeout=0,
+                write_timeout=0,
+                exclusive=True,
             )
         except (serial.SerialException, termios.error, ValueError, OSError) as error:
             raise LinkError(

@@ -51,14 +51,24 @@ class OutOfRange(ValueError):
     """A number that the wire, or the meaning of its field, does not allow."""
 
 
-def whole(name: str, value: int, high: int) -> int:
+def whole(
+    name: str,
+    value: int,
+    high: int,
+) -> int:
     """A whole number in ``0..high``."""
     if not 0 <= value <= high:
         raise OutOfRange(f"{name} = {value} is outside 0..{high}")
     return value
 
 
-def scaled(name: str, value: float, scale: float, low: int, high: int) -> int:
+def scaled(
+    name: str,
+    value: float,
+    scale: float,
+    low: int,
+    high: int,
+) -> int:
     """``value * scale``, rounded, when that lies in ``low..high``."""
     if not math.isfinite(value):
         raise OutOfRange(f"{name} = {value} is not finite")
@@ -165,7 +175,12 @@ def box_to(box: Box | None) -> tuple[int, int, int, int]:
     )
 
 
-def box_from(x: int, y: int, w: int, h: int) -> Box:
+def box_from(
+    x: int,
+    y: int,
+    w: int,
+    h: int,
+) -> Box:
     """The box. Raises OutOfRange for an empty one."""
     if not (w and h):
         raise OutOfRange("an empty box")
@@ -184,7 +199,11 @@ def _folded(a: float, b: float) -> tuple[float, float]:
     return math.copysign(1.0 - abs(b), a), math.copysign(1.0 - abs(a), b)
 
 
-def _length(name: str, values: tuple[float, ...], tolerance: float) -> None:
+def _length(
+    name: str,
+    values: tuple[float, ...],
+    tolerance: float,
+) -> None:
     length = math.sqrt(sum([value * value for value in values]))
     if not abs(length - 1.0) <= tolerance:
         raise OutOfRange(f"{name} = {values} has length {length}, not 1")

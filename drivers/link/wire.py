@@ -90,7 +90,11 @@ class Codec:
     """
 
     def __init__(
-        self, role: Role, key: bytes | None, link_id: int = 0, stamp: Callable[[], int] = lambda: 0
+        self,
+        role: Role,
+        key: bytes | None,
+        link_id: int = 0,
+        stamp: Callable[[], int] = lambda: 0,
     ) -> None:
         if key is not None and len(key) != KEY_LENGTH:
             raise ValueError(f"a key has {KEY_LENGTH} bytes, not {len(key)}")

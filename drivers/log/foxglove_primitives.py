@@ -68,15 +68,27 @@ VIDEO = CompressedVideo.get_schema()
 RAW = RawImage.get_schema()
 
 
-def compressed_image(stamp_ns: int, frame: str, jpeg: bytes) -> Message:
+def compressed_image(
+    stamp_ns: int,
+    frame: str,
+    jpeg: bytes,
+) -> Message:
     return CompressedImage(timestamp=time_of(stamp_ns), frame_id=frame, data=jpeg, format="jpeg")
 
 
-def compressed_video(stamp_ns: int, frame: str, h264: bytes) -> Message:
+def compressed_video(
+    stamp_ns: int,
+    frame: str,
+    h264: bytes,
+) -> Message:
     return CompressedVideo(timestamp=time_of(stamp_ns), frame_id=frame, data=h264, format="h264")
 
 
-def depth_image(stamp_ns: int, frame: str, depth_mm: Depths) -> Message:
+def depth_image(
+    stamp_ns: int,
+    frame: str,
+    depth_mm: Depths,
+) -> Message:
     height, width = depth_mm.shape
     return RawImage(
         timestamp=time_of(stamp_ns),
@@ -110,7 +122,11 @@ def point(p: Sequence[float]) -> Point3:
 
 
 def moved(
-    stamp_ns: int, parent: str, child: str, t: Sequence[float], q: Sequence[float]
+    stamp_ns: int,
+    parent: str,
+    child: str,
+    t: Sequence[float],
+    q: Sequence[float],
 ) -> FrameTransform:
     return FrameTransform(
         timestamp=time_of(stamp_ns), parent_frame_id=parent, child_frame_id=child, translation=vector(t),
@@ -118,13 +134,22 @@ def moved(
     )  # fmt: skip
 
 
-def transform(stamp_ns: int, parent: str, child: str, rows: Sequence[float]) -> FrameTransform:
+def transform(
+    stamp_ns: int,
+    parent: str,
+    child: str,
+    rows: Sequence[float],
+) -> FrameTransform:
     """``rows``: the upper three of a pose's matrix, one after another."""
     matrix = np.reshape(rows, (3, 4))
     return moved(stamp_ns, parent, child, matrix[:, 3].tolist(), quat_from_R(matrix[:, :3]))
 
 
-def fix(stamp_ns: int, origin: Sequence[float], position_n_m: Sequence[float]) -> Message:
+def fix(
+    stamp_ns: int,
+    origin: Sequence[float],
+    position_n_m: Sequence[float],
+) -> Message:
     """Return the position on a sphere of the earth's size: for a map, over a field."""
     latitude_deg, longitude_deg, altitude_m = origin
     north, east, down = position_n_m
@@ -157,7 +182,10 @@ def frustum(camera: Record, color: Color) -> LinePrimitive:
     for k, edge in enumerate(edges):
         points += [Point3(), point(edge), point(edge), point(edges[(k + 1) % 4])]
     return LinePrimitive(
-        type=LinePrimitiveLineType.LineList, points=points, color=color, thickness=0.01
+        type=LinePrimitiveLineType.LineList,
+        points=points,
+        color=color,
+        thickness=0.01,
     )
 
 
@@ -177,14 +205,24 @@ def fence(radius_m: float, height_m: float) -> list[LinePrimitive]:
     ]
 
 
-def sphere(point: Sequence[float], sigma_m: float, color: Color) -> SpherePrimitive:
+def sphere(
+    point: Sequence[float],
+    sigma_m: float,
+    color: Color,
+) -> SpherePrimitive:
     size = 2.0 * SIGMAS * sigma_m
     return SpherePrimitive(
-        pose=pose(point, AS_IT_IS), size=Vector3(x=size, y=size, z=size), color=color
+        pose=pose(point, AS_IT_IS),
+        size=Vector3(x=size, y=size, z=size),
+        color=color,
     )
 
 
-def box(stamp_ns: int, box: Sequence[float] | None, color: Color) -> list[PointsAnnotation]:
+def box(
+    stamp_ns: int,
+    box: Sequence[float] | None,
+    color: Color,
+) -> list[PointsAnnotation]:
     if box is None:
         return []
     x, y, w, h = box
@@ -193,7 +231,10 @@ def box(stamp_ns: int, box: Sequence[float] | None, color: Color) -> list[Points
 
 
 def lines(
-    stamp_ns: int, kind: PointsAnnotationType, points: Sequence[Sequence[float]], color: Color
+    stamp_ns: int,
+    kind: PointsAnnotationType,
+    points: Sequence[Sequence[float]],
+    color: Color,
 ) -> PointsAnnotation:
     return PointsAnnotation(
         timestamp=time_of(stamp_ns), type=kind, points=[Point2(x=u, y=v) for u, v in points], outline_color=color,
@@ -201,7 +242,12 @@ def lines(
     )  # fmt: skip
 
 
-def text(stamp_ns: int, text: str, color: Color, line: int = 0) -> TextAnnotation:
+def text(
+    stamp_ns: int,
+    text: str,
+    color: Color,
+    line: int = 0,
+) -> TextAnnotation:
     position = Point2(x=6.0, y=FONT_PX + 6.0 + line * (FONT_PX + 6.0))
     return TextAnnotation(
         timestamp=time_of(stamp_ns), position=position, text=text, font_size=FONT_PX, text_color=color,

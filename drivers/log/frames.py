@@ -69,7 +69,12 @@ class FrameRecorder:
     """
 
     def __init__(
-        self, log: Path, name: str, utc_minus_stamp_ns: int, *, waits: bool = False
+        self,
+        log: Path,
+        name: str,
+        utc_minus_stamp_ns: int,
+        *,
+        waits: bool = False,
     ) -> None:
         """``log``: the program's log, whose neighbour this is. ``waits``: each frame is encoded at
         once, here.
@@ -158,7 +163,12 @@ class _FrameFile:
     FFmpeg raises.
     """
 
-    def __init__(self, path: Path, name: str, utc_minus_stamp_ns: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        utc_minus_stamp_ns: int,
+    ) -> None:
         self.bytes = 0
         self._path = path
         self._name = name
@@ -181,7 +191,9 @@ class _FrameFile:
         self._message(1, utc_ns, foxglove.compressed_video(utc_ns, self._frame_id, video).encode())
         if frame.depth_mm is not None:
             self._message(
-                2, utc_ns, foxglove.depth_image(utc_ns, self._frame_id, frame.depth_mm).encode()
+                2,
+                utc_ns,
+                foxglove.depth_image(utc_ns, self._frame_id, frame.depth_mm).encode(),
             )
         assert self._file is not None
         self.bytes += self._file.end_chunk()
@@ -228,7 +240,12 @@ class _FrameFile:
         frame.time_base = _MICROSECONDS
         return b"".join(bytes(packet) for packet in self._encoder.encode(frame))
 
-    def _message(self, channel: int, utc_ns: int, data: bytes) -> None:
+    def _message(
+        self,
+        channel: int,
+        utc_ns: int,
+        data: bytes,
+    ) -> None:
         assert self._file is not None
         self._count += 1
         self._file.message(channel, utc_ns, message_record(channel, self._count, utc_ns, data))

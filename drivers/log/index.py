@@ -120,7 +120,12 @@ class ChunkedFile:
             self._metadata.append(built(MetadataIndex(self._file.tell(), len(record), name)))
         self._file.write(record)
 
-    def message(self, channel: int, utc_ns: int, record: bytes) -> None:
+    def message(
+        self,
+        channel: int,
+        utc_ns: int,
+        record: bytes,
+    ) -> None:
         """A whole record of a message."""
         index = self._in_chunk.get(channel)
         if index is None:
@@ -170,7 +175,15 @@ class ChunkedFile:
         indices = self._file.tell() - at - length
         self._chunks.append(
             ChunkIndex(
-                length, at, "zstd", len(data), end_ns, indices, places, begin_ns, len(records)
+                length,
+                at,
+                "zstd",
+                len(data),
+                end_ns,
+                indices,
+                places,
+                begin_ns,
+                len(records),
             )
         )
         self._file.flush()  # for whoever follows the flight
@@ -214,7 +227,12 @@ class ChunkedFile:
         )
 
 
-def message_record(channel: int, sequence: int, utc_ns: int, data: bytes) -> bytes:
+def message_record(
+    channel: int,
+    sequence: int,
+    utc_ns: int,
+    data: bytes,
+) -> bytes:
     """The bytes of a whole message."""
     return _WRITTEN.pack(_IS_MESSAGE, 22 + len(data), channel, sequence, utc_ns, utc_ns) + data
 

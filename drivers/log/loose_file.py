@@ -26,7 +26,9 @@ class LooseFile:
         self._path = path
         self._raw = FileIO(path, "wb")
         self._behind = WrittenBehind(
-            partial(write_whole, self._raw.write), most_waiting_bytes, "log"
+            partial(write_whole, self._raw.write),
+            most_waiting_bytes,
+            "log",
         )
         self._behind.put(MAGIC)
 
@@ -39,7 +41,12 @@ class LooseFile:
         del opcode
         self._put(record, always=True)
 
-    def message(self, channel: int, utc_ns: int, record: bytes) -> None:
+    def message(
+        self,
+        channel: int,
+        utc_ns: int,
+        record: bytes,
+    ) -> None:
         del channel, utc_ns
         self._put(record, always=False)
 

@@ -67,7 +67,10 @@ def messages(file: IO[bytes]) -> Iterator[LoggedMessage | Metadata]:
                 if isinstance(found, Channel):
                     known = schemas[found.schema_id]
                     channels[found.id] = LoggedChannel(
-                        found.topic, found.message_encoding, known, blank(found.topic)
+                        found.topic,
+                        found.message_encoding,
+                        known,
+                        blank(found.topic),
                     )
         except StopIteration:
             return

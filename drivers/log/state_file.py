@@ -60,7 +60,12 @@ class StateFile:
         boot: of this run of the computer's clock; "" where the computer does not say.
     """
 
-    def __init__(self, path: Path, role: Role | None, boot: str | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        role: Role | None,
+        boot: str | None = None,
+    ) -> None:
         self._path = path
         self._role = role
         self._boot = boot_id() if boot is None else boot
@@ -118,7 +123,9 @@ class StateFile:
         saved = Future[None]()
         saved.set_running_or_notify_cancel()  # from here on nobody can take it back
         threading.Thread(
-            target=_settle, args=(saved, lambda: self.save(record)), name="state-file"
+            target=_settle,
+            args=(saved, lambda: self.save(record)),
+            name="state-file",
         ).start()
         return saved
 

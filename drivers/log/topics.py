@@ -102,7 +102,10 @@ TOPICS: dict[str, Topic] = {
         }
         | {
             "objects": tables(
-                "every object", id=whole(""), t=numbers("position, m"), yaw=number("rad")
+                "every object",
+                id=whole(""),
+                t=numbers("position, m"),
+                yaw=number("rad"),
             )
         },
     ),

@@ -41,7 +41,13 @@ class FlightBattery:
         if self.told_ns is None:
             self.told_ns = now_ns
 
-    def on_battery(self, battery_id: int, function: int, percent: float, now_ns: int) -> None:
+    def on_battery(
+        self,
+        battery_id: int,
+        function: int,
+        percent: float,
+        now_ns: int,
+    ) -> None:
         """Take a BATTERY_STATUS. ``percent``: beyond 0..100 the autopilot does not know it."""
         self.hear(now_ns)
         if self._wanted_id == LOWEST_ID and function in _NOT_FOR_FLIGHT:

@@ -22,7 +22,12 @@ class LocalTangent:
     m by 100 m and 45°.
     """
 
-    def __init__(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
+    def __init__(
+        self,
+        latitude_deg: float,
+        longitude_deg: float,
+        altitude_m: float,
+    ) -> None:
         sine = math.sin(math.radians(latitude_deg))
         curvature = 1.0 - ECCENTRICITY_SQUARED * sine * sine
         meridian_m = SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED) / curvature**1.5
@@ -39,14 +44,22 @@ class LocalTangent:
         return cls(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
 
     def to_ned(
-        self, latitude_deg: float, longitude_deg: float, altitude_m: float
+        self,
+        latitude_deg: float,
+        longitude_deg: float,
+        altitude_m: float,
     ) -> tuple[float, float, float]:
         """(north, east, down) in metres; ``altitude_m`` above mean sea level, like the origin's."""
         east_deg = math.remainder(longitude_deg - self._origin[1], 360.0)
         north_m = (latitude_deg - self._origin[0]) * self._north_m_per_deg
         return north_m, east_deg * self._east_m_per_deg, self._origin[2] - altitude_m
 
-    def to_global(self, north_m: float, east_m: float, down_m: float) -> tuple[float, float, float]:
+    def to_global(
+        self,
+        north_m: float,
+        east_m: float,
+        down_m: float,
+    ) -> tuple[float, float, float]:
         """(latitude_deg, longitude_deg, altitude_m above mean sea level)."""
         latitude_deg = self._origin[0] + north_m / self._north_m_per_deg
         longitude_deg = math.remainder(self._origin[1] + east_m / self._east_m_per_deg, 360.0)

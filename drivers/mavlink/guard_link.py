@@ -146,7 +146,12 @@ class GuardMavlink:
         own = config.own_sysid, config.own_compid
         key = signing_key(config.key_file)
         self._port = MavlinkPort(
-            config.url, config.vehicle_sysid, own, WANTED, self._clock.now_ns, key
+            config.url,
+            config.vehicle_sysid,
+            own,
+            WANTED,
+            self._clock.now_ns,
+            key,
         )
         return self
 
@@ -246,7 +251,10 @@ class GuardMavlink:
             # BATTERY_STATUS
             case 147 if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
                 self._battery.on_battery(
-                    message.id, message.battery_function, message.battery_remaining, now_ns
+                    message.id,
+                    message.battery_function,
+                    message.battery_remaining,
+                    now_ns,
                 )
             case 33:  # GLOBAL_POSITION_INT
                 self._position = now_ns, self._place(message)
@@ -274,7 +282,9 @@ class GuardMavlink:
         Of a PX4 the local one (``Telemetry`` says why).
         """
         north, east, down = self._tangent.to_ned(
-            message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
+            message.lat * 1e-7,
+            message.lon * 1e-7,
+            message.alt * 1e-3,
         )
         if self._config.height_from == "sea_level":
             return north, east, down

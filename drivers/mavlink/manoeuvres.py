@@ -31,7 +31,10 @@ class Manoeuvres:
     """
 
     def __init__(
-        self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig
+        self,
+        session: MavsdkSession,
+        telemetry: TelemetrySlots,
+        config: MavsdkVehicleConfig,
     ) -> None:
         self._session = session
         self._telemetry = telemetry
@@ -40,7 +43,11 @@ class Manoeuvres:
         self.kind: AutopilotKind = PX4
 
     async def do(
-        self, what: str, command: int, params: tuple[float | None, ...], tries: int = 1
+        self,
+        what: str,
+        command: int,
+        params: tuple[float | None, ...],
+        tries: int = 1,
     ) -> None:
         """One command that must be accepted. Raises with the vehicle's own reason."""
         sent_ns = self._clock.now_ns()
@@ -63,7 +70,12 @@ class Manoeuvres:
             "remedy what it names, then start again",
         )
 
-    async def change_mode(self, mode: FlightMode, what: str, tries: int = 1) -> None:
+    async def change_mode(
+        self,
+        mode: FlightMode,
+        what: str,
+        tries: int = 1,
+    ) -> None:
         sent_ns = self._clock.now_ns()
         before = self._telemetry.mode
         main, sub = self.kind.set_mode[mode]
@@ -146,7 +158,12 @@ class Manoeuvres:
             )
         return position.altitude_m
 
-    async def _climb(self, height_m: float, there: FlightMode, timeout_s: float) -> None:
+    async def _climb(
+        self,
+        height_m: float,
+        there: FlightMode,
+        timeout_s: float,
+    ) -> None:
         """Wait until at the height and steady.
 
         A pilot's mode, a hold, a landing or disarming on the way ends it with an error.

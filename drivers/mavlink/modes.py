@@ -58,7 +58,12 @@ class AutopilotKind:
     def mode(self, custom_mode: int) -> FlightMode:
         return self.modes.get(custom_mode, FlightMode.OTHER)
 
-    def news(self, custom_mode: int, before: FlightMode, told: int) -> bool:
+    def news(
+        self,
+        custom_mode: int,
+        before: FlightMode,
+        told: int,
+    ) -> bool:
         """Return whether a CURRENT_MODE is believed before a heartbeat says the same.
 
         OFFBOARD is only against a pilot's mode that one message alone has told: having landed, PX4

@@ -56,7 +56,10 @@ def decode(line: bytes, now_ns: int) -> Told | Chosen | None:
         bearing = words.number("bearing_deg", -360.0, 360.0)
         error = words.number("error_deg", 0.01, 90.0)
         told = BearingTold(
-            stamp_ns, words.ground("from"), math.radians(bearing), math.radians(error)
+            stamp_ns,
+            words.ground("from"),
+            math.radians(bearing),
+            math.radians(error),
         )
     elif "region" in said:
         told = RegionTold(stamp_ns, words.corners("region"))
@@ -97,7 +100,13 @@ class _Words:
     def has(self, name: str) -> bool:
         return name in self._said
 
-    def number(self, name: str, low: float, high: float, usual: float | None = None) -> float:
+    def number(
+        self,
+        name: str,
+        low: float,
+        high: float,
+        usual: float | None = None,
+    ) -> float:
         self._taken.add(name)
         value = self._said.get(name, usual)
         if value is usual and usual is not None:
@@ -147,7 +156,11 @@ def _ground(name: str, value: Any) -> Ground:
     return float(numbers[0]), float(numbers[1])
 
 
-def encode_question(question: Question | None, now_ns: int, picture: bytes | None) -> bytes:
+def encode_question(
+    question: Question | None,
+    now_ns: int,
+    picture: bytes | None,
+) -> bytes:
     """Return what D1 asks: the objects with their numbers, boxes and places, and the picture if it
     fits.
     """

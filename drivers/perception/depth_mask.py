@@ -72,7 +72,11 @@ def without_elsewhere(
     return shown
 
 
-def _kept(depth_mm: Depths, limits_m: tuple[float, float], sigma_at_1m_m: float) -> Image:
+def _kept(
+    depth_mm: Depths,
+    limits_m: tuple[float, float],
+    sigma_at_1m_m: float,
+) -> Image:
     """Mask (h, w) of what is shown."""
     smooth = cv2.medianBlur(
         cv2.medianBlur(np.ascontiguousarray(depth_mm[::HALF, ::HALF]), MEDIAN_PX), MEDIAN_PX
@@ -81,7 +85,9 @@ def _kept(depth_mm: Depths, limits_m: tuple[float, float], sigma_at_1m_m: float)
     nothing = np.zeros(1)
     inside = cv2.inRange(smooth, near_mm, far_mm)
     unknown = cv2.morphologyEx(
-        cv2.inRange(smooth, nothing, nothing), cv2.MORPH_OPEN, _square(HOLE_PX)
+        cv2.inRange(smooth, nothing, nothing),
+        cv2.MORPH_OPEN,
+        _square(HOLE_PX),
     )
     kept = cv2.morphologyEx(cv2.bitwise_or(inside, unknown), cv2.MORPH_OPEN, _square(SPECK_PX))
     kept[_steps(smooth, inside, sigma_at_1m_m) > 0] = 0
@@ -93,7 +99,11 @@ def _kept(depth_mm: Depths, limits_m: tuple[float, float], sigma_at_1m_m: float)
     return cv2.resize(kept, depth_mm.shape[::-1], interpolation=cv2.INTER_NEAREST)
 
 
-def _steps(smooth: Image, inside: Image, sigma_at_1m_m: float) -> Image:
+def _steps(
+    smooth: Image,
+    inside: Image,
+    sigma_at_1m_m: float,
+) -> Image:
     """Mask of lines along the steps between things that are both inside."""
     highest = cv2.dilate(np.where(inside > 0, smooth, np.uint16(0)), _square(STEP_PX)).astype(
         np.float32

@@ -84,7 +84,11 @@ class StampClock:
         self._mapped_ns: int | None = None
 
     def to_role(
-        self, stamp_ns: int, domain: Domain, arrival_ns: int, wall_offset_ns: int
+        self,
+        stamp_ns: int,
+        domain: Domain,
+        arrival_ns: int,
+        wall_offset_ns: int,
     ) -> int | StampRefused:
         """The stamp in the role's clock, always later than the one before; never after the arrival
         while it follows.

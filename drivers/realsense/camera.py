@@ -140,10 +140,19 @@ class RealSense:
         stamps = StampConfig(latency_ns=round(config.latency_s * 1e9))
         limits_m = (config.min_depth_m, config.max_depth_m)
         settings = StreamConfig(
-            streams, limits_m, stamps, config.record, config.silence_s, config.reopen_s
+            streams,
+            limits_m,
+            stamps,
+            config.record,
+            config.silence_s,
+            config.reopen_s,
         )
         self._stream = PairStream(
-            self.source, settings, self._model, self._clock, lambda: wake(loop, self._news)
+            self.source,
+            settings,
+            self._model,
+            self._clock,
+            lambda: wake(loop, self._news),
         )
         self._counters = self._stream.counters
         self._stream.start()
@@ -228,7 +237,10 @@ def _device(identity: DeviceIdentity) -> Iterator[Finding]:
     if identity.recommended and identity.firmware != identity.recommended:
         fix = "librealsense's rs-fw-update sets it; measure its latency again afterwards"
         yield Finding(
-            "note", "device", f"{detail}, librealsense recommends {identity.recommended}", fix
+            "note",
+            "device",
+            f"{detail}, librealsense recommends {identity.recommended}",
+            fix,
         )
     else:
         yield Finding("ok", "device", detail)

@@ -131,7 +131,12 @@ class RealSenseRecording:
             data = frame.get_data()
             pixels = np.asanyarray(data) if kind == "depth" else bgr_of(data, self._color_format)
             image = RawImage(
-                kind, frame.get_frame_number(), stamp_ns, domain, np.array(pixels, order="C"), None
+                kind,
+                frame.get_frame_number(),
+                stamp_ns,
+                domain,
+                np.array(pixels, order="C"),
+                None,
             )
             while not ending.is_set():
                 try:

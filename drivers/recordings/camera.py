@@ -153,7 +153,12 @@ class RecordedCamera:
             ready.loaded.depth_mm,
         )
 
-    async def _due(self, ready: _Ready, timeout_s: float, thread: ThreadPoolExecutor) -> _Ready:
+    async def _due(
+        self,
+        ready: _Ready,
+        timeout_s: float,
+        thread: ThreadPoolExecutor,
+    ) -> _Ready:
         """Wait until a frame is due; when it is overdue, the newest one that is due takes its
         place.
         """

@@ -158,7 +158,12 @@ def _step(before: Picture, after: Picture) -> int:
     return (after.number - before.number - before.is_reference) % after.modulo
 
 
-def _gap(before: Picture, after: Picture, since: int, usual: int | None) -> int:
+def _gap(
+    before: Picture,
+    after: Picture,
+    since: int,
+    usual: int | None,
+) -> int:
     """Return how many pictures were lost between two: also with a key frame, where numbers begin
     again.
     """
@@ -244,7 +249,11 @@ def _slice(unit: bytes, sets: _Sets) -> _Slice:
     return _Slice(first, fresh, number, is_start, is_reference, modulo, shown)
 
 
-def _read_set(unit: bytes, kind: int, sets: _Sets) -> None:
+def _read_set(
+    unit: bytes,
+    kind: int,
+    sets: _Sets,
+) -> None:
     try:
         if kind == SPS:
             _read_sequence(unit, sets)

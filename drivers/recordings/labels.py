@@ -148,7 +148,11 @@ def _of_line(line: str, where: str) -> Label:
     raise PartError(f"{where}: {len(words)} numbers are neither YOLO's 5 nor VisDrone's 8", REMEDY)
 
 
-def _of_yolo(name: str, numbers: list[float], where: str) -> Label:
+def _of_yolo(
+    name: str,
+    numbers: list[float],
+    where: str,
+) -> Label:
     _, u, v, w, h = numbers
     if not all(0.0 <= share <= 1.0 for share in (u, v, w, h)):
         raise PartError(f"{where}: YOLO's boxes are shares of the picture, 0 to 1", REMEDY)

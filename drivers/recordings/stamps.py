@@ -48,7 +48,10 @@ def natural(file: Path) -> list[tuple[int, str]]:
 
 
 def stamped_files(
-    folder: Path, files: Sequence[Path], given: Path | None, rate_hz: float | None
+    folder: Path,
+    files: Sequence[Path],
+    given: Path | None,
+    rate_hz: float | None,
 ) -> list[tuple[int, Path]]:
     """Files with their stamps, ns, in order. Raises RecordingError.
 
@@ -110,7 +113,11 @@ def _rows(file: Path, remedy: str) -> list[dict[str, str | None]]:
         raise RecordingError(f"{file}: {error}", remedy) from error
 
 
-def _stamp_of(without: str, row: Mapping[str, str | None], remedy: str) -> int:
+def _stamp_of(
+    without: str,
+    row: Mapping[str, str | None],
+    remedy: str,
+) -> int:
     """A line's stamp, ns. Raises RecordingError, ``without``, when there is none."""
     try:
         stamp = row.get("stamp_ns")

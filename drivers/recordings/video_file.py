@@ -56,7 +56,11 @@ class Damage:
         )
 
 
-def video_frames(file: Path, rate_hz: float | None, damage: Damage) -> Iterator[tuple[int, Pixels]]:
+def video_frames(
+    file: Path,
+    rate_hz: float | None,
+    damage: Damage,
+) -> Iterator[tuple[int, Pixels]]:
     """Presentation stamp (ns from the first frame) and pixels, BGR (h, w, 3) when called, of each
     frame in order.
 
@@ -95,7 +99,10 @@ def video_frames(file: Path, rate_hz: float | None, damage: Damage) -> Iterator[
 
 
 def _stamped(
-    frames: Iterator[Any], stream: Any, given: Fraction | None, damage: Damage
+    frames: Iterator[Any],
+    stream: Any,
+    given: Fraction | None,
+    damage: Damage,
 ) -> Iterator[tuple[int, Pixels]]:
     rate: Fraction = given or stream.average_rate or stream.guessed_rate or Fraction(30)
     first: int | None = None
@@ -113,7 +120,12 @@ def _stamped(
         yield stamp_ns - first, _pixels_of(frame)
 
 
-def _bare_h264(av: Any, file: Path, rate_hz: float, damage: Damage) -> Iterator[tuple[int, Pixels]]:
+def _bare_h264(
+    av: Any,
+    file: Path,
+    rate_hz: float,
+    damage: Damage,
+) -> Iterator[tuple[int, Pixels]]:
     """Decode picture by picture: each has its place in time, and what leans on a lost one is left
     out.
     """

@@ -139,7 +139,11 @@ class CameraCalibration:
 
 
 def made_of_no_views(
-    camera: CameraModel, serial: str, source: str, grade: Literal["fair", "weak"], weak: str
+    camera: CameraModel,
+    serial: str,
+    source: str,
+    grade: Literal["fair", "weak"],
+    weak: str,
 ) -> CameraCalibration:
     """Return the calibration of a camera that somebody else calibrated: nothing is known of how.
 
@@ -249,7 +253,11 @@ def quaternion(pose: Pose) -> tuple[float, float, float, float]:
     return normalized(quat_from_R(pose.R))
 
 
-def check_serial(calibrated: str, camera: str, what: str) -> None:
+def check_serial(
+    calibrated: str,
+    camera: str,
+    what: str,
+) -> None:
     """Raise CalibrationError when both serial numbers are known and differ."""
     if calibrated and camera and calibrated != camera:
         raise CalibrationError(
@@ -258,7 +266,11 @@ def check_serial(calibrated: str, camera: str, what: str) -> None:
         )
 
 
-def check_size(calibrated: tuple[int, int], stream: tuple[int, int], what: str) -> None:
+def check_size(
+    calibrated: tuple[int, int],
+    stream: tuple[int, int],
+    what: str,
+) -> None:
     """Raise CalibrationError when the sizes (width, height) differ."""
     if calibrated != stream:
         raise CalibrationError(
@@ -268,7 +280,11 @@ def check_size(calibrated: tuple[int, int], stream: tuple[int, int], what: str) 
         )
 
 
-def _read(file: Path, kind: type[T], remedy: str) -> T:
+def _read(
+    file: Path,
+    kind: type[T],
+    remedy: str,
+) -> T:
     try:
         return decode_table(read_toml(file), kind, file.name, file.parent)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -91,7 +91,11 @@ def _exclusive(config: Any) -> list[tuple[str, Any]]:
     ]
 
 
-def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> None:
+def _check_part(
+    spec: PartSpec,
+    configs: dict[str, Any],
+    problems: Problems,
+) -> None:
     try:
         _, config = decode_part(spec)
     except RigError as error:
@@ -108,7 +112,11 @@ def _check_part(spec: PartSpec, configs: dict[str, Any], problems: Problems) -> 
             _check_key(value, f"{spec.where}.{name}", problems)
 
 
-def _check_key(file: Path, where: str, problems: Problems) -> None:
+def _check_key(
+    file: Path,
+    where: str,
+    problems: Problems,
+) -> None:
     from drivers.link.key import read_key  # noqa: PLC0415 (most rigs have no key, and need no dialect)
 
     try:
@@ -134,7 +142,11 @@ def _check_exclusive(configs: Mapping[str, Any], problems: Problems) -> None:
             used.setdefault(key, f"{where.partition(': ')[2]}.{name}")
 
 
-def _check_serials(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:
+def _check_serials(
+    rig: Rig,
+    configs: Mapping[str, Any],
+    problems: Problems,
+) -> None:
     """A camera whose serial number is written must be the one its calibration is of."""
     for role in Role:
         own = rig.role(role)
@@ -142,7 +154,9 @@ def _check_serials(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> 
             serial = getattr(config, "serial", "") if where.startswith(own.perception.where) else ""
             try:
                 check_serial(
-                    own.camera_serial, str(serial or ""), rig.where(f"{role.value}.camera")
+                    own.camera_serial,
+                    str(serial or ""),
+                    rig.where(f"{role.value}.camera"),
                 )
             except CalibrationError as error:
                 problems.add(f"{where}.serial", str(error))
@@ -161,7 +175,11 @@ def _resource(name: str, value: Any) -> tuple[str, str]:
     return ("device" if name in ("device", "url") else name), text
 
 
-def _check_guards(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:
+def _check_guards(
+    rig: Rig,
+    configs: Mapping[str, Any],
+    problems: Problems,
+) -> None:
     """A guard that watches another vehicle than the one that is flown guards nothing."""
     for role in Role:
         own = rig.role(role)
@@ -182,7 +200,11 @@ def _check_guards(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> N
                 )
 
 
-def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) -> None:
+def _check_mirrored(
+    rig: Rig,
+    configs: Mapping[str, Any],
+    problems: Problems,
+) -> None:
     ends = [configs.get(rig.role(role).link.where) for role in Role]
     if not all(hasattr(end, "bind") and hasattr(end, "peer") for end in ends):
         return
@@ -196,7 +218,11 @@ def _check_mirrored(rig: Rig, configs: Mapping[str, Any], problems: Problems) ->
             )
 
 
-def _check_harness(rig: Rig, harness: str, problems: Problems) -> None:
+def _check_harness(
+    rig: Rig,
+    harness: str,
+    problems: Problems,
+) -> None:
     try:
         kind = import_factory(harness, rig.where("harness"))
         if hasattr(kind, "check_rig"):

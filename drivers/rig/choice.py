@@ -65,10 +65,18 @@ class Choice:
         autopilot = f" --autopilot {self.autopilot}" if self.autopilot else ""
         return f"--rig {self.rig}{level}{autopilot}{' --light' if self.light else ''}"
 
-    def but_for(self, level: str | None, autopilot: str | None, light: bool) -> Choice:
+    def but_for(
+        self,
+        level: str | None,
+        autopilot: str | None,
+        light: bool,
+    ) -> Choice:
         """Return the same rig with what is given instead."""
         return Choice(
-            self.rig, level or self.level, autopilot or self.autopilot, light or self.light
+            self.rig,
+            level or self.level,
+            autopilot or self.autopilot,
+            light or self.light,
         )
 
     def within(self, options: Mapping[str, Any]) -> Choice:

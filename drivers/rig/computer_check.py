@@ -70,13 +70,20 @@ def clock_finding() -> Finding:
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return Finding(
-            "ok", "clock", f"monotonic to {steps_ns:.0f} ns; who sets the wall clock is not known"
+            "ok",
+            "clock",
+            f"monotonic to {steps_ns:.0f} ns; who sets the wall clock is not known",
         )
     if asked.stdout.strip() == "yes":
         return Finding(
-            "ok", "clock", f"monotonic to {steps_ns:.0f} ns; the wall clock is set by NTP"
+            "ok",
+            "clock",
+            f"monotonic to {steps_ns:.0f} ns; the wall clock is set by NTP",
         )
     fix = "let NTP set it before the flight, and not during it: logs are dated by it"
     return Finding(
-        "note", "clock", f"monotonic to {steps_ns:.0f} ns; the wall clock is not set by NTP", fix
+        "note",
+        "clock",
+        f"monotonic to {steps_ns:.0f} ns; the wall clock is not set by NTP",
+        fix,
     )

@@ -75,7 +75,12 @@ class _Camera:
     serial: str
 
     @classmethod
-    def from_table(cls, table: Any, where: str, base: Path | None) -> _Camera:
+    def from_table(
+        cls,
+        table: Any,
+        where: str,
+        base: Path | None,
+    ) -> _Camera:
         """Used by ``decode_table``. Raises RigError."""
         try:
             if isinstance(table, Mapping) and "calibration" in table:
@@ -118,7 +123,10 @@ class _Marker:
         roll, pitch, yaw = self.rpy_deg
         turn = axis_turn(1, yaw) @ axis_turn(0, pitch) @ axis_turn(2, roll)
         return Marker(
-            self.id, self.side_m, self.side_sigma_m, Pose(turn, np.array(self.position_v_m))
+            self.id,
+            self.side_m,
+            self.side_sigma_m,
+            Pose(turn, np.array(self.position_v_m)),
         )
 
 
@@ -215,7 +223,11 @@ def load_rig(name_or_path: str | Path, search: Sequence[Path] = ()) -> Rig:
     return rig_of(read_rig(path, search), path, search)
 
 
-def rig_of(table: Mapping[str, Any], path: Path, search: Sequence[Path] = ()) -> Rig:
+def rig_of(
+    table: Mapping[str, Any],
+    path: Path,
+    search: Sequence[Path] = (),
+) -> Rig:
     """Decode the tables of the rig at ``path``. Raises RigError."""
     written = decode_table(table, _RigTable, path.name, path.parent)
     T_b_v = written.sender.mount.marker.pose(written.sender.mount.camera.pose())

@@ -134,7 +134,12 @@ def _of_ros(text: str, size: Size | None) -> Lenses:
     return {str(info.get("camera_name", "camera")): ros_lens(model, own, matrix, numbers)}
 
 
-def ros_lens(model: str, size: Size, matrix: Array, numbers: Sequence[float]) -> Lens:
+def ros_lens(
+    model: str,
+    size: Size,
+    matrix: Array,
+    numbers: Sequence[float],
+) -> Lens:
     """Return the lens of a camera_info. Raises ForeignError for one that is not known."""
     bends = ROS_LENSES.get(model)
     if bends is None:
@@ -288,7 +293,12 @@ def _tables(value: Any, name: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield from _tables(inner, f"{name} {at}")
 
 
-def _lens(size: Size, matrix: Any, numbers: Sequence[float], bends: bool) -> Lens:
+def _lens(
+    size: Size,
+    matrix: Any,
+    numbers: Sequence[float],
+    bends: bool,
+) -> Lens:
     """Return the lens of numbers in OpenCV's order. Raises ForeignError for one that is not
     known.
     """

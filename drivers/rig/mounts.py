@@ -68,7 +68,12 @@ class MarkerPlace:
     calibrated: MountCalibration | None
 
     @classmethod
-    def from_table(cls, table: Any, where: str, base: Path | None) -> MarkerPlace:
+    def from_table(
+        cls,
+        table: Any,
+        where: str,
+        base: Path | None,
+    ) -> MarkerPlace:
         """Used by ``decode_table``. Raises RigError."""
         if not (isinstance(table, Mapping) and "calibration" in table):
             return cls(decode_table(table, MarkerMount, where, base), None)
@@ -98,5 +103,9 @@ def axis_turn(axis: int, angle_deg: float) -> Matrix:
     return R
 
 
-def _turn(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Matrix:
+def _turn(
+    roll_deg: float,
+    pitch_deg: float,
+    yaw_deg: float,
+) -> Matrix:
     return axis_turn(2, yaw_deg) @ axis_turn(1, pitch_deg) @ axis_turn(0, roll_deg)

@@ -74,7 +74,9 @@ def rate_of(part: object) -> float | None:
 
 
 async def counted(
-    newest: Mapping[str, Callable[[], int | None]], wanted_hz: float, fix: str
+    newest: Mapping[str, Callable[[], int | None]],
+    wanted_hz: float,
+    fix: str,
 ) -> Sequence[Finding]:
     """Counts how often each of some streams brings something new, against what was asked for.
 
@@ -96,7 +98,11 @@ async def counted(
 
 
 def rate_finding(
-    name: str, found_hz: float, wanted_hz: float, fix: str, enough: Enough = REPORTS
+    name: str,
+    found_hz: float,
+    wanted_hz: float,
+    fix: str,
+    enough: Enough = REPORTS,
 ) -> Finding:
     detail = f"{found_hz:.1f} of {wanted_hz:g} a second"
     if found_hz >= enough.well * wanted_hz:

@@ -76,7 +76,10 @@ def read_rig(path: Path, search: Sequence[Path] = ()) -> dict[str, Any]:
 
 
 def _read(
-    path: Path, search: Sequence[Path], after: tuple[Path, ...], asked: Choice | None
+    path: Path,
+    search: Sequence[Path],
+    after: tuple[Path, ...],
+    asked: Choice | None,
 ) -> dict[str, Any]:
     """``asked``: the choice of the rig that is like this one, whose options are this one's too."""
     file, choice = file_of(path) or (path, Choice(path.stem))
@@ -115,7 +118,11 @@ def _chosen(table: dict[str, Any], choice: Choice) -> list[dict[str, Any]]:
     return [table, *(own for conditions, own in when.items() if choice.meets(conditions))]
 
 
-def _laid(base: Mapping[str, Any], layer: dict[str, Any], path: Path) -> dict[str, Any]:
+def _laid(
+    base: Mapping[str, Any],
+    layer: dict[str, Any],
+    path: Path,
+) -> dict[str, Any]:
     """Return ``base`` without what the layer drops, and with what it says instead. Raises
     RigError.
     """
@@ -130,7 +137,12 @@ def _laid(base: Mapping[str, Any], layer: dict[str, Any], path: Path) -> dict[st
     return _but_for(base, layer)
 
 
-def _other(like: Any, path: Path, search: Sequence[Path], after: tuple[Path, ...]) -> Path:
+def _other(
+    like: Any,
+    path: Path,
+    search: Sequence[Path],
+    after: tuple[Path, ...],
+) -> Path:
     """Return the file of the rig that one is like. Raises RigError."""
     where = f"{path.name}: like"
     if not isinstance(like, str):
@@ -148,7 +160,11 @@ def _other(like: Any, path: Path, search: Sequence[Path], after: tuple[Path, ...
     return other
 
 
-def _without(table: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
+def _without(
+    table: Mapping[str, Any],
+    key: str,
+    where: str,
+) -> dict[str, Any]:
     """Return a table without a dotted key. Raises RigError when it has none."""
     first, _, rest = key.partition(".")
     made = dict(table)

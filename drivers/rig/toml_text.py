@@ -18,7 +18,11 @@ def toml_text(table: Mapping[str, Any], comment: str = "") -> str:
     return "\n".join(lines).strip() + "\n"
 
 
-def _table(table: Mapping[str, Any], name: str, lines: list[str]) -> None:
+def _table(
+    table: Mapping[str, Any],
+    name: str,
+    lines: list[str],
+) -> None:
     inner = {key: value for key, value in table.items() if _is_table(value)}
     lines += [f"{key} = {_value(value)}" for key, value in table.items() if key not in inner]
     for key, value in inner.items():

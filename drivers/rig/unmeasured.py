@@ -40,7 +40,11 @@ _UNUSED = (
 """Tables that have nothing to do with a camera or where it sits."""
 
 
-def load_for_camera(name_or_path: str | Path, search: Sequence[Path], size: tuple[int, int]) -> Rig:
+def load_for_camera(
+    name_or_path: str | Path,
+    search: Sequence[Path],
+    size: tuple[int, int],
+) -> Rig:
     """Load a rig for the calibration of one of its cameras.
 
     Args:

@@ -121,7 +121,9 @@ def check_route(address: TelloAddress) -> None:
             return
         try:
             packed = fcntl.ioctl(
-                probe.fileno(), SIOCGIFADDR, struct.pack("256s", address.interface.encode()[:15])
+                probe.fileno(),
+                SIOCGIFADDR,
+                struct.pack("256s", address.interface.encode()[:15]),
             )
             theirs = socket.inet_ntoa(packed[20:24])
         except OSError as error:

@@ -33,10 +33,17 @@ async def drone_findings(link: TelloLink) -> Sequence[Finding]:
     return findings
 
 
-def _told(name: str, answer: str | None, before: str = "") -> Finding:
+def _told(
+    name: str,
+    answer: str | None,
+    before: str = "",
+) -> Finding:
     if answer is None or answer.lower().startswith(("unknown", "error")):
         what = "it does not answer" if answer is None else f"it says {answer!r}"
         return Finding(
-            "note", name, what, "" if answer else "nearer to it, or fewer networks on this channel"
+            "note",
+            name,
+            what,
+            "" if answer else "nearer to it, or fewer networks on this channel",
         )
     return Finding("ok", name, f"{before}{answer}")

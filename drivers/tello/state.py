@@ -76,7 +76,11 @@ def read_report(fields: Mapping[str, object], arrival_ns: int) -> TelloReport | 
     )
 
 
-def _within(value: object, least: float, most: float) -> TypeGuard[int | float]:
+def _within(
+    value: object,
+    least: float,
+    most: float,
+) -> TypeGuard[int | float]:
     """Return whether this is a number within bounds; a comparison bears integers that are too long
     for a float.
     """
@@ -85,7 +89,11 @@ def _within(value: object, least: float, most: float) -> TypeGuard[int | float]:
     )
 
 
-def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quat:
+def quaternion(
+    roll_rad: float,
+    pitch_rad: float,
+    yaw_rad: float,
+) -> Quat:
     """Body FRD to NED, wxyz, from yaw, then pitch, then roll."""
     cr = math.cos(roll_rad / 2.0)
     sr = math.sin(roll_rad / 2.0)

@@ -18,7 +18,10 @@ REASONS = {  # texts that drones were seen to answer with
 
 
 def sticks(
-    config: TelloVehicleConfig, heading_rad: float, velocity_n_mps: Vec3, turn_dps: float
+    config: TelloVehicleConfig,
+    heading_rad: float,
+    velocity_n_mps: Vec3,
+    turn_dps: float,
 ) -> str:
     """``rc``: right, forward, up, clockwise, each -100..100, for a velocity in NED of a drone with
     this heading.
@@ -35,7 +38,11 @@ def sticks(
     return f"rc {a} {b} {up} {d}"
 
 
-def refused(what: str, answer: str, battery: float) -> VehicleError:
+def refused(
+    what: str,
+    answer: str,
+    battery: float,
+) -> VehicleError:
     """Its own words, and what to do about them. ``battery``: 0..1."""
     reason = REASONS.get(answer.lower(), "remedy what it names, then start again")
     return VehicleError(

@@ -24,13 +24,26 @@ class ReceiverSide:
     region, ``answer``. What D1 says goes to ``hear`` as it comes in.
     """
 
-    def __init__(self, cameras: PairCameras, method: MethodConfig, attempt: AttemptId) -> None:
+    def __init__(
+        self,
+        cameras: PairCameras,
+        method: MethodConfig,
+        attempt: AttemptId,
+    ) -> None:
         x, y, z = cameras.T_v_c1.t.tolist()
         self._cycle = ReceiverCycle(
-            cameras.receiver, method, **attempt._asdict(), sender=(cameras.sender, (x, y, z))
+            cameras.receiver,
+            method,
+            **attempt._asdict(),
+            sender=(cameras.sender, (x, y, z)),
         )
 
-    def hear(self, target: Target, capture_ns: int, now_ns: int) -> Missed | None:
+    def hear(
+        self,
+        target: Target,
+        capture_ns: int,
+        now_ns: int,
+    ) -> Missed | None:
         """Take in a message of D1; None when it is used, else why not. Stamps are of D2's clock."""
         return self._cycle.on_target(target, capture_ns, now_ns)
 
@@ -56,7 +69,11 @@ class ReceiverSide:
         return self.answer(view.frame_id, view.stamp_ns, found, prior)
 
     def answer(
-        self, frame_id: int, stamp_ns: int, found: Sequence[Detection], prior: Prior | Missed
+        self,
+        frame_id: int,
+        stamp_ns: int,
+        found: Sequence[Detection],
+        prior: Prior | Missed,
     ) -> Answer | None:
         """Return the answer to send; a miss, with its reason, is one too.
 

@@ -54,7 +54,11 @@ class SenderSide:
         return self._cycle.gate
 
     def observe(
-        self, frame_id: int, stamp_ns: int, seen: Sighting | MissReason, gravity_v: Vec3
+        self,
+        frame_id: int,
+        stamp_ns: int,
+        seen: Sighting | MissReason,
+        gravity_v: Vec3,
     ) -> OwnFrame:
         """Take in D1's newest frame.
 
@@ -66,13 +70,23 @@ class SenderSide:
         """
         if isinstance(seen, Sighting):
             message = self._cycle.observe(
-                frame_id, stamp_ns, seen.box, seen.depth, gravity_v, seen.beside
+                frame_id,
+                stamp_ns,
+                seen.box,
+                seen.depth,
+                gravity_v,
+                seen.beside,
             )
         else:
             message = self._cycle.observe(frame_id, stamp_ns, None, None, gravity_v)
         return OwnFrame(frame_id, stamp_ns, seen, message)
 
-    def hear(self, candidate: Candidate, capture_ns: int, now_ns: int) -> Missed | None:
+    def hear(
+        self,
+        candidate: Candidate,
+        capture_ns: int,
+        now_ns: int,
+    ) -> Missed | None:
         """Take in an answer of D2, and return why it is not judged; None when it will be.
 
         Stamps are of D1's clock.

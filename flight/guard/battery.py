@@ -19,7 +19,12 @@ def untold_s(told_ns: int | None, now_ns: int) -> float:
     return 0.0 if told_ns is None else (now_ns - told_ns) * 1e-9
 
 
-def battery_trouble(level: float, told_ns: int | None, now_ns: int, least: float) -> str:
+def battery_trouble(
+    level: float,
+    told_ns: int | None,
+    now_ns: int,
+    least: float,
+) -> str:
     """Return what is wrong with a battery in flight, in words; empty when nothing is.
 
     Unknown is neither full nor empty: the last level that was told counts for a while, and then the

@@ -9,7 +9,10 @@ from flight.outcome import MissionEnd, Outcome
 
 
 def check_vehicle(
-    state: VehicleState, now_ns: int, config: GuardConfig, commanded: FlightMode
+    state: VehicleState,
+    now_ns: int,
+    config: GuardConfig,
+    commanded: FlightMode,
 ) -> None:
     """Raise MissionEnd when the vehicle is no longer ours or no longer safe to fly.
 

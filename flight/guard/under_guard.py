@@ -20,7 +20,12 @@ class UnderGuard:
     more.
     """
 
-    def __init__(self, line: GuardLine, clock: Clock, rules: GuardRules) -> None:
+    def __init__(
+        self,
+        line: GuardLine,
+        clock: Clock,
+        rules: GuardRules,
+    ) -> None:
         self._line = line
         self._clock = clock
         self._rules = rules

@@ -112,7 +112,12 @@ class GuardWatch:
             self._forget(now_ns)
         before = self._state
         self._state, act = decide(
-            before, view, self._heard_now(), now_ns, self._rules, self._limits
+            before,
+            view,
+            self._heard_now(),
+            now_ns,
+            self._rules,
+            self._limits,
         )
         if act is Act.HOLD:
             self._vehicle.hold()
@@ -195,7 +200,10 @@ class GuardWatch:
         armed = view is not None and view.armed
         alarm = self._alarms[-1] if self._alarms else ""
         return GuardAnswer(
-            self._sees(view, now_ns), self._state.hand(script, armed), self._state.reason, alarm
+            self._sees(view, now_ns),
+            self._state.hand(script, armed),
+            self._state.reason,
+            alarm,
         )
 
     def _log_decision(self, now_ns: int, act: Act) -> None:
@@ -225,7 +233,9 @@ class GuardWatch:
 
 
 async def watch(
-    guards: tuple[GuardWatch, ...], until: asyncio.Event, tick_s: float = TICK_S
+    guards: tuple[GuardWatch, ...],
+    until: asyncio.Event,
+    tick_s: float = TICK_S,
 ) -> None:
     """Tick until told to end and nothing is flown by a script or held by a guard any more."""
     loop = asyncio.get_running_loop()

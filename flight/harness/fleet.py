@@ -151,14 +151,24 @@ def team_of_rig(rig: Rig) -> TeamConfig:
     return decode_table(tables, TeamConfig, rig.where("team"), rig.file.parent)
 
 
-def pair_of(rig: Rig, sender: NamedDrone, receiver: NamedDrone) -> Rig:
+def pair_of(
+    rig: Rig,
+    sender: NamedDrone,
+    receiver: NamedDrone,
+) -> Rig:
     """The rig of one leg: these two drones in these two roles."""
     return replace(
-        rig, sender=_role(rig, sender, "sender"), receiver=_role(rig, receiver, "receiver")
+        rig,
+        sender=_role(rig, sender, "sender"),
+        receiver=_role(rig, receiver, "receiver"),
     )
 
 
-def _role(rig: Rig, drone: NamedDrone, role: str) -> RoleRig:
+def _role(
+    rig: Rig,
+    drone: NamedDrone,
+    role: str,
+) -> RoleRig:
     built = rig.sender
     camera = built.camera if drone.camera is None else drone.camera.model()
     mount = Mount(built.mount.T_b_c, built.mount.T_b_v)

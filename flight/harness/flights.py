@@ -96,7 +96,9 @@ def decode_event(line: str | bytes) -> Progress | RoleResult | None:
             return Progress(role=role, evidence=tuple(evidence) if evidence else None, **record)
         if kind == "result":
             return RoleResult(
-                role=role, outcome=Outcome.from_label(record.pop("outcome")), **record
+                role=role,
+                outcome=Outcome.from_label(record.pop("outcome")),
+                **record,
             )
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         pass

@@ -270,7 +270,12 @@ class Telling:
                 offsets = series.offsets.get(k)
                 oversize = series.oversize.get(k, 0.0)
                 pair = FramePair(
-                    sequence, capture_ns, frames, offsets, oversize, series.placed_iou.get(k)
+                    sequence,
+                    capture_ns,
+                    frames,
+                    offsets,
+                    oversize,
+                    series.placed_iou.get(k),
                 )
                 if gate.agree(pair, iou, threshold(z_m, method)) is None:
                     self._agreed = k
@@ -286,7 +291,11 @@ class Telling:
         return self.done
 
 
-def tell(series: Series, gate: Gate, method: MethodConfig) -> int | None:
+def tell(
+    series: Series,
+    gate: Gate,
+    method: MethodConfig,
+) -> int | None:
     """Tell a gate what D1's cycle would have told it; the pair with which it was complete, None
     when it never was.
     """

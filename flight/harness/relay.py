@@ -51,7 +51,12 @@ class RelayField(Protocol):
         """Start a drone's program; None when it died. The drone is switched on, if it is not."""
         ...
 
-    def open_leg(self, number: int, sender: str, receiver: str) -> None:
+    def open_leg(
+        self,
+        number: int,
+        sender: str,
+        receiver: str,
+    ) -> None:
         """Give two drones a link to each other; it takes the place of any that either had."""
         ...
 

@@ -205,11 +205,22 @@ class FrameRenderer(Protocol):
 
     def __init__(self, setup: RendererSetup, seed: int) -> None: ...
 
-    def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
+    def shoot(
+        self,
+        stage: RenderedInstant,
+        role: Role,
+        shot_seed: int,
+    ) -> Shot:
         """Return the image that the role's camera delivers."""
         ...
 
-    def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:
+    def true_depth_m(
+        self,
+        stage: RenderedInstant,
+        role: Role,
+        u: float,
+        v: float,
+    ) -> float | None:
         """Exact depth along the optical axis of the surface seen at a pixel; None when there is
         none in reach.
         """

@@ -152,14 +152,22 @@ def derived_of(rig: Rig) -> tuple[Derived, ...]:
     return derive_rest(facts, rig.named, flown_layout(facts, mission))
 
 
-def _with(table: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
+def _with(
+    table: Mapping[str, Any],
+    key: str,
+    value: Any,
+) -> dict[str, Any]:
     """Return a table with a value at a dotted key."""
     first, _, rest = key.partition(".")
     inner = table.get(first, {})
     return {**table, first: _with(inner, rest, value) if rest else value}
 
 
-def _method_with(method: MethodConfig, key: str, value: float) -> MethodConfig:
+def _method_with(
+    method: MethodConfig,
+    key: str,
+    value: float,
+) -> MethodConfig:
     first, _, rest = key.partition(".")
     if rest:
         return replace(method, evidence=replace(method.evidence, **{rest: value}))

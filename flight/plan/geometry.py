@@ -85,7 +85,10 @@ def apparent(facts: Facts, range_m: float) -> Apparent:
     width_m = share * target.span_m
     height_m = share * (target.height_m * math.cos(angle) + target.span_m * math.sin(angle))
     return Apparent(
-        width_m, height_m, camera.fx * width_m / range_m, camera.fy * height_m / range_m
+        width_m,
+        height_m,
+        camera.fx * width_m / range_m,
+        camera.fy * height_m / range_m,
     )
 
 

@@ -28,7 +28,11 @@ HEADINGS = 8
 DRAWS = 9  # along each axis of the offset: the middles of as many equal shares
 
 
-def agreeing_share(facts: Facts, placed: Layout, strength: float) -> float:
+def agreeing_share(
+    facts: Facts,
+    placed: Layout,
+    strength: float,
+) -> float:
     """Return the share of hand-overs in which errors that last leave the boxes that strong an
     agreement. Raises ValueError for a layout without a viewpoint.
     """
@@ -59,7 +63,11 @@ def _offsets(covariance: Array) -> Array:
     return np.asarray(grid @ np.linalg.cholesky(covariance).T, np.float64)
 
 
-def _sides(facts: Facts, heading_rad: float, to_target: Array) -> tuple[float, float]:
+def _sides(
+    facts: Facts,
+    heading_rad: float,
+    to_target: Array,
+) -> tuple[float, float]:
     """Return width and height in m of the target's box, at its own depth."""
     target = facts.target
     ahead = float(to_target[0])
@@ -76,7 +84,11 @@ def _sides(facts: Facts, heading_rad: float, to_target: Array) -> tuple[float, f
     return share * wide_m, share * high_m
 
 
-def _overlap(own_m: tuple[float, float], other_m: tuple[float, float], offsets_m: Array) -> Array:
+def _overlap(
+    own_m: tuple[float, float],
+    other_m: tuple[float, float],
+    offsets_m: Array,
+) -> Array:
     """Return the intersection over union of two boxes by the offset of their middles."""
     common = np.ones(len(offsets_m))
     for axis in (0, 1):

@@ -127,7 +127,11 @@ def plan_viewpoint(
 
     places = candidates[alive]
     yaw, margin = _look(
-        places, scene, camera, T_b_c, np.eye(3) if tilt_h is None else tilted(tilt_h)
+        places,
+        scene,
+        camera,
+        T_b_c,
+        np.eye(3) if tilt_h is None else tilted(tilt_h),
     )
     # a wider margin is worth a smaller marker, up to what a drone swings in a gust
     score = np.minimum(margin, 150.0) + (2.0 * marker_px[alive] - 20.0 * incidence[alive])[:, None]
@@ -158,7 +162,10 @@ def _candidates(separation: SeparationConfig) -> Floats:
     """Return places behind and above the marker, shape (n, 3) in ``h``."""
     distances_m = np.linspace(_NEAREST * separation.minimum_m, farthest_m(separation), _DISTANCES)
     distance, azimuth, elevation = np.meshgrid(
-        distances_m, _AZIMUTHS_RAD, _ELEVATIONS_RAD, indexing="ij"
+        distances_m,
+        _AZIMUTHS_RAD,
+        _ELEVATIONS_RAD,
+        indexing="ij",
     )
     level = distance * np.cos(elevation)
     places = np.stack(
@@ -167,7 +174,11 @@ def _candidates(separation: SeparationConfig) -> Floats:
     return places.reshape(-1, 3)
 
 
-def _clear_of_body(to_body: Floats, to_target: Floats, scene: ViewpointScene) -> Flags:
+def _clear_of_body(
+    to_body: Floats,
+    to_target: Floats,
+    scene: ViewpointScene,
+) -> Flags:
     """Return whether D1's body leaves the line of sight to the whole target free."""
     body_range = np.linalg.norm(to_body, axis=1)
     target_range = np.linalg.norm(to_target, axis=1)
@@ -179,7 +190,11 @@ def _clear_of_body(to_body: Floats, to_target: Floats, scene: ViewpointScene) ->
 
 
 def _look(
-    places_h: Floats, scene: ViewpointScene, camera: CameraModel, T_b_c: Pose, tilt: Floats
+    places_h: Floats,
+    scene: ViewpointScene,
+    camera: CameraModel,
+    T_b_c: Pose,
+    tilt: Floats,
 ) -> tuple[Floats, Floats]:
     """Yaws between the bearings of marker and target, and the smaller margin (px) of the two, of
     shape (n, shares).
@@ -198,7 +213,9 @@ def _look(
     zero = np.zeros_like(yaw)
     one = np.ones_like(yaw)
     R_level_b = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(
-        *yaw.shape, 3, 3
+        *yaw.shape,
+        3,
+        3,
     )
     R_h_c = tilt @ R_level_b @ T_b_c.R
     points_c = np.einsum("nkji,nmj->nkmi", R_h_c, points_h)  # (n, shares, 2, 3)

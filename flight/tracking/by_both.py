@@ -57,7 +57,11 @@ class FromBothViews:
     """
 
     def __init__(
-        self, method: MethodConfig, sender: CameraModel, T_v_c1: Pose, own: CameraModel
+        self,
+        method: MethodConfig,
+        sender: CameraModel,
+        T_v_c1: Pose,
+        own: CameraModel,
     ) -> None:
         self._method = method
         self._sender = sender
@@ -114,7 +118,12 @@ class FromBothViews:
         )
 
     def _said(
-        self, point_sigma_m: float, T_c_v: Pose, surface_c: Vector, middle_c: Vector, pose: Matrix
+        self,
+        point_sigma_m: float,
+        T_c_v: Pose,
+        surface_c: Vector,
+        middle_c: Vector,
+        pose: Matrix,
     ) -> Sighted:
         """Return D1's word. Its one standard deviation is the range's, mostly: across it pixels and
         mount are known.
@@ -147,7 +156,12 @@ class FromBothViews:
             else self._method.target_center_sigma_m
         )
 
-    def _middle(self, surface_c: Vector, T_c_v: Pose, gravity_c: Vec3) -> Vector:
+    def _middle(
+        self,
+        surface_c: Vector,
+        T_c_v: Pose,
+        gravity_c: Vec3,
+    ) -> Vector:
         """Return the middle of the body that D1 has that point of."""
         if not self._body.known:
             return surface_c
@@ -157,7 +171,12 @@ class FromBothViews:
             middle_v(T_c2_c1, (x, y, z), gravity_c, self._body.span_m, self._body.height_m)
         )
 
-    def _to_middle(self, ray_c: Vec3, z_m: float, gravity_c: Vec3) -> Vec3:
+    def _to_middle(
+        self,
+        ray_c: Vec3,
+        z_m: float,
+        gravity_c: Vec3,
+    ) -> Vec3:
         """Return the line of sight to the body's middle, from that to its box's, per metre of
         depth.
         """
@@ -182,7 +201,13 @@ class FromBothViews:
         )
         return math.hypot(pixels, self._of_body() / distance_m)
 
-    def _with_own(self, both: BothViews, sight: Vec3, depth: Depth, behind: float) -> BothViews:
+    def _with_own(
+        self,
+        both: BothViews,
+        sight: Vec3,
+        depth: Depth,
+        behind: float,
+    ) -> BothViews:
         """Add D2's own range."""
         length = math.hypot(*sight)
         by_other_m = length * both.along(sight)[0]
@@ -194,5 +219,8 @@ class FromBothViews:
         self._off_m += (length * depth.z_m + behind - by_other_m - self._off_m) / self._frames
         sigma_m = length * math.hypot(noise_m / math.sqrt(self._frames), lasting_m)
         return with_range(
-            both, sight, by_other_m + self._off_m, math.hypot(sigma_m, self._of_body())
+            both,
+            sight,
+            by_other_m + self._off_m,
+            math.hypot(sigma_m, self._of_body()),
         )

@@ -30,11 +30,21 @@ class LargestBox:
         self._method = method
 
     @classmethod
-    def of(cls, camera: CameraModel, method: MethodConfig) -> Self | None:
+    def of(
+        cls,
+        camera: CameraModel,
+        method: MethodConfig,
+    ) -> Self | None:
         """The rule, where the method states how large the target is."""
         return cls(camera, method) if method.evidence.span_m > 0.0 else None
 
-    def holds(self, box: Box, z_m: float, sigma_m: float, T_n_c: Pose) -> bool:
+    def holds(
+        self,
+        box: Box,
+        z_m: float,
+        sigma_m: float,
+        T_n_c: Pose,
+    ) -> bool:
         """Return whether a box is no larger than the target alone can be at a depth, known to a
         standard deviation.
         """
@@ -48,7 +58,12 @@ class LargestBox:
         sigma = math.hypot(pixels, sigma_m / z_m, own.size_sigma)
         return math.log(max(larger, 1e-9)) <= own.size_sigmas * sigma
 
-    def most_m(self, box: Box, z_m: float, T_n_c: Pose) -> tuple[float, float]:
+    def most_m(
+        self,
+        box: Box,
+        z_m: float,
+        T_n_c: Pose,
+    ) -> tuple[float, float]:
         """Return the largest width and height in m that a box of the target alone can have at a
         depth.
         """
@@ -56,7 +71,11 @@ class LargestBox:
         gx, gy, gz = T_n_c.R[2].tolist()
         x, y = self._camera.ray(*box.center)
         wide_m, high_m = reach_m(
-            _AT_THE_CAMERA, (x * z_m, y * z_m, z_m), (gx, gy, gz), own.span_m, own.height_m
+            _AT_THE_CAMERA,
+            (x * z_m, y * z_m, z_m),
+            (gx, gy, gz),
+            own.span_m,
+            own.height_m,
         )
         spread = math.exp(own.size_sigmas * own.size_sigma)
         return spread * wide_m, spread * high_m

@@ -62,7 +62,12 @@ class LookRound:
         """
         self._ended = self._ended or self._there_ns is not None
 
-    def step(self, now_ns: int, off_m: float, place_n_m: Vec3) -> None:
+    def step(
+        self,
+        now_ns: int,
+        off_m: float,
+        place_n_m: Vec3,
+    ) -> None:
         """One tick. ``off_m``: from where it should be by now. ``place_n_m``: the designated
         one.
         """

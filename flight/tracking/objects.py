@@ -74,7 +74,10 @@ def is_larger(box: Box, side_px: Sides) -> bool:
 
 
 def _joined(
-    ranked: list[ImageObject], expected: Pixel, side_px: Sides, usual_px: Sides
+    ranked: list[ImageObject],
+    expected: Pixel,
+    side_px: Sides,
+    usual_px: Sides,
 ) -> list[ImageObject]:
     """The objects with the first one in one piece: detectors at times show one object as two boxes,
     for a frame.
@@ -95,7 +98,11 @@ def _joined(
     ]
 
 
-def _is_of(box: Box, whole: Box, side_px: Sides) -> bool:
+def _is_of(
+    box: Box,
+    whole: Box,
+    side_px: Sides,
+) -> bool:
     """True for a box around a part of an object: it overlaps the whole's, and both are no larger
     than the object.
     """
@@ -108,14 +115,23 @@ def is_cut(box: Box, camera: CameraModel) -> bool:
     return any(cut_sides(box.x, box.w, camera.width)) or any(cut_sides(box.y, box.h, camera.height))
 
 
-def cut_sides(low: float, side: float, size: int) -> tuple[bool, bool]:
+def cut_sides(
+    low: float,
+    side: float,
+    size: int,
+) -> tuple[bool, bool]:
     """Return whether the border cuts a box's side where it begins, and where it ends, in an image
     of that size.
     """
     return low < _BORDER_PX - 0.5, low + side > size - 0.5 - _BORDER_PX
 
 
-def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: float) -> Pixel:
+def _middle(
+    box: Box,
+    camera: CameraModel,
+    size_m: tuple[float, float],
+    z_m: float,
+) -> Pixel:
     """The middle of an object that the border cuts, from its size when it was whole."""
     half_u = 0.5 * size_m[0] * camera.fx / z_m
     half_v = 0.5 * size_m[1] * camera.fy / z_m
@@ -125,7 +141,12 @@ def _middle(box: Box, camera: CameraModel, size_m: tuple[float, float], z_m: flo
     )
 
 
-def _whole_middle(low: float, side: float, half: float, size: int) -> float:
+def _whole_middle(
+    low: float,
+    side: float,
+    half: float,
+    size: int,
+) -> float:
     high, (cut_low, cut_high) = low + side, cut_sides(low, side, size)
     if cut_low:
         return min(high - half, 0.5 * (low + high))

@@ -15,7 +15,11 @@ from path.observations import Box, Depth
 from path.target.range import LEAST_DESCENT
 
 
-def point_in_camera(box: Box, z_m: float, camera: CameraModel) -> Vec3:
+def point_in_camera(
+    box: Box,
+    z_m: float,
+    camera: CameraModel,
+) -> Vec3:
     """The point at a box's centre and a depth, in the camera frame (eq. target_backprojection)."""
     x, y = camera.ray(*box.center)
     return x * z_m, y * z_m, z_m
@@ -27,7 +31,13 @@ def to_local(point_c: Vec3, T_n_c: Pose) -> Vec3:
     return north, east, down
 
 
-def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3:
+def place(
+    box: Box,
+    depth: Depth,
+    camera: CameraModel,
+    T_n_c: Pose,
+    down_m: float,
+) -> Vec3:
     """Return the place of a box's object in ``n``: by its depth, or where its ray meets a height
     if that is better.
 
@@ -42,7 +52,12 @@ def place(box: Box, depth: Depth, camera: CameraModel, T_n_c: Pose, down_m: floa
     return to_local(point_in_camera(box, depth.z_m, camera), T_n_c)
 
 
-def at_height(pixel: Pixel, camera: CameraModel, T_n_c: Pose, down_m: float) -> Vec3 | None:
+def at_height(
+    pixel: Pixel,
+    camera: CameraModel,
+    T_n_c: Pose,
+    down_m: float,
+) -> Vec3 | None:
     """Return the point at which a pixel's ray comes down to a height; None for a ray that hardly
     does.
     """

@@ -64,7 +64,11 @@ class Ranging:
     reach_m: float = math.inf
 
     @classmethod
-    def of(cls, mission: MissionConfig, method: MethodConfig) -> Self:
+    def of(
+        cls,
+        mission: MissionConfig,
+        method: MethodConfig,
+    ) -> Self:
         """Take what mission and method state; the ground is where it took off, where the height's
         error is stated.
         """
@@ -79,7 +83,12 @@ class Ranging:
         )
 
     def ranged(
-        self, depth: Depth | None, box: Box, camera: CameraModel, T_n_c: Pose, expected_z_m: float
+        self,
+        depth: Depth | None,
+        box: Box,
+        camera: CameraModel,
+        T_n_c: Pose,
+        expected_z_m: float,
     ) -> Ranged | None:
         """Return what all ranges of a box say; None where there is none.
 
@@ -100,7 +109,11 @@ class Ranging:
         return together([each for each in ranges if each is not None])
 
     def _by_size(
-        self, depth: Depth | None, box: Box, camera: CameraModel, sight: Sight
+        self,
+        depth: Depth | None,
+        box: Box,
+        camera: CameraModel,
+        sight: Sight,
     ) -> Depth | None:
         """Ask the size only where depth is none or coarse: what hides a part of an object makes it
         seem farther off.
@@ -111,7 +124,12 @@ class Ranging:
             return None
         return by_size(box, camera, sight, self.body, self.pixel_sigma_px)
 
-    def _by_ground(self, camera: CameraModel, T_n_c: Pose, sight: Sight) -> Depth | None:
+    def _by_ground(
+        self,
+        camera: CameraModel,
+        T_n_c: Pose,
+        sight: Sight,
+    ) -> Depth | None:
         ground = self.ground
         if ground is None:
             return None
@@ -120,7 +138,11 @@ class Ranging:
         return by_ground(above_m, ground.sigma_m, angle_rad, sight, self.body, ground.source)
 
 
-def _sight(box: Box, camera: CameraModel, T_n_c: Pose) -> Sight:
+def _sight(
+    box: Box,
+    camera: CameraModel,
+    T_n_c: Pose,
+) -> Sight:
     x, y = camera.ray(*box.center)
     gx, gy, gz = T_n_c.R[2].tolist()
     return Sight((x, y, 1.0), (gx, gy, gz))

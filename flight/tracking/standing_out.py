@@ -29,7 +29,11 @@ _AROUND = 2  # samples on either side, beyond where the body may be
 
 
 def standing_out(
-    view: View, expected: Pixel, z_m: float, wide: float, reach_px: float
+    view: View,
+    expected: Pixel,
+    z_m: float,
+    wide: float,
+    reach_px: float,
 ) -> tuple[Pixel, float] | None:
     """A pixel of the one body in the row of an expected pixel, in its middle from left to right,
     and the depth there.

@@ -202,7 +202,12 @@ class TargetTrack:
         """
         return self._sizes.sides_m
 
-    def outgrown(self, sides_m: tuple[float, float], noise: float, stamp_ns: int) -> bool:
+    def outgrown(
+        self,
+        sides_m: tuple[float, float],
+        noise: float,
+        stamp_ns: int,
+    ) -> bool:
         """Return whether a box is so much larger than the object's was a moment ago that there is
         more in it.
 
@@ -227,7 +232,13 @@ class TargetTrack:
             and stamp_ns - self.seen_ns <= self._carry_ns
         )
 
-    def update(self, measured_n_m: Vec3, stamp_ns: int, *, cut: bool = False) -> None:
+    def update(
+        self,
+        measured_n_m: Vec3,
+        stamp_ns: int,
+        *,
+        cut: bool = False,
+    ) -> None:
         """Fuse one measured position; older stamps than the newest are ignored.
 
         ``cut``: from a box that the image's border cuts, or that has more in it; it bounds the
@@ -253,10 +264,20 @@ class TargetTrack:
         """Fuse where the object's depth is, along the ground: it was not seen."""
         north, east, _ = measured_n_m
         self._fuse(
-            (north, east, self.position_n_m[2]), stamp_ns, _CARRIED_SIGMA * self.range_m, moves=True
+            (north, east, self.position_n_m[2]),
+            stamp_ns,
+            _CARRIED_SIGMA * self.range_m,
+            moves=True,
         )
 
-    def _fuse(self, measured_n_m: Vec3, stamp_ns: int, sigma_m: float, *, moves: bool) -> None:
+    def _fuse(
+        self,
+        measured_n_m: Vec3,
+        stamp_ns: int,
+        sigma_m: float,
+        *,
+        moves: bool,
+    ) -> None:
         dt = (stamp_ns - self.stamp_ns) * 1e-9
         q = self._accel_mps2**2
         position = add(self.position_n_m, scale(self.velocity_n_mps, dt))

@@ -22,7 +22,11 @@ MIN_CLIMB_MPS = 0.2
 
 
 def toward(
-    position: Vec3, goal: Vec3, gain_hz: float, max_horizontal_mps: float, max_vertical_mps: float
+    position: Vec3,
+    goal: Vec3,
+    gain_hz: float,
+    max_horizontal_mps: float,
+    max_vertical_mps: float,
 ) -> Vec3:
     """Velocity proportional to the distance left, limited horizontally (as a vector) and
     vertically.
@@ -32,7 +36,10 @@ def toward(
 
 
 def limited(
-    velocity: Vec3, max_horizontal_mps: float, max_up_mps: float, max_down_mps: float
+    velocity: Vec3,
+    max_horizontal_mps: float,
+    max_up_mps: float,
+    max_down_mps: float,
 ) -> Vec3:
     """The same direction over ground, no faster than the limits."""
     vn, ve, vd = velocity
@@ -80,7 +87,11 @@ class Guidance:
         self._hold = goal
 
     def velocity(
-        self, now_s: float, mode: FlightMode, estimate: Estimate, home: Vec3
+        self,
+        now_s: float,
+        mode: FlightMode,
+        estimate: Estimate,
+        home: Vec3,
     ) -> Vec3 | None:
         """Velocity of every mode but OFFBOARD; None while the motors spool up for a take-off."""
         if mode is FlightMode.TAKEOFF:
@@ -91,7 +102,12 @@ class Guidance:
             return self._return(estimate, home)
         return self._go_to(self._hold, HOLD_MPS, estimate)
 
-    def _go_to(self, goal: Vec3, speed_mps: float, estimate: Estimate) -> Vec3:
+    def _go_to(
+        self,
+        goal: Vec3,
+        speed_mps: float,
+        estimate: Estimate,
+    ) -> Vec3:
         return toward(
             estimate.position_n_m,
             goal,
@@ -100,7 +116,12 @@ class Guidance:
             self._config.climb_mps,
         )
 
-    def _take_off(self, now_s: float, estimate: Estimate, home: Vec3) -> Vec3 | None:
+    def _take_off(
+        self,
+        now_s: float,
+        estimate: Estimate,
+        home: Vec3,
+    ) -> Vec3 | None:
         climb_mps = self._config.climb_mps
         since_spool_s = now_s - self._since_s - self._config.spool_s
         if since_spool_s < 0.0:
@@ -109,7 +130,12 @@ class Guidance:
         vn, ve, _ = self._go_to(self._hold, HOLD_MPS, estimate)
         return vn, ve, -max(MIN_CLIMB_MPS, min(climb_mps, climb_mps * since_spool_s, left_m))
 
-    def _descend(self, over: Vec3, estimate: Estimate, home: Vec3) -> Vec3:
+    def _descend(
+        self,
+        over: Vec3,
+        estimate: Estimate,
+        home: Vec3,
+    ) -> Vec3:
         vn, ve, _ = self._go_to(over, HOLD_MPS, estimate)
         high = home[2] - estimate.position_n_m[2] > LOW_M
         return vn, ve, self._config.land_mps if high else self._config.touchdown_mps

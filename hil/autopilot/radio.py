@@ -226,7 +226,9 @@ def _slot(us: int) -> int:
 
 
 def flown_by(
-    sticks: Sticks, yaw_rad: float, fastest_mps: float
+    sticks: Sticks,
+    yaw_rad: float,
+    fastest_mps: float,
 ) -> tuple[float, float, float] | None:
     """The velocity that sticks ask for, NED m/s; None while they are centred."""
     right, forward, up = (

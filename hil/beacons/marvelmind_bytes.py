@@ -31,7 +31,11 @@ def frame(code: int, body: bytes) -> bytes:
 
 
 def position(
-    stamp_ms: int, address: int, place_m: Vec3 | None, age_ms: int, flags: int = ANOTHER
+    stamp_ms: int,
+    address: int,
+    place_m: Vec3 | None,
+    age_ms: int,
+    flags: int = ANOTHER,
 ) -> bytes:
     """Code 0x0011, mm. Without a place the system has lost the beacon."""
     x, y, z = (round(1e3 * each) for each in place_m or (0.0, 0.0, 0.0))
@@ -53,7 +57,11 @@ def imu(stamp_ms: int, readings: bytes) -> bytes:
     return frame(0x0003, readings[:18] + bytes(6) + struct.pack("<I4x", stamp_ms % (1 << 32)))
 
 
-def distances(stamp_ms: int, address: int, ranges_m: Mapping[int, float]) -> bytes:
+def distances(
+    stamp_ms: int,
+    address: int,
+    ranges_m: Mapping[int, float],
+) -> bytes:
     """Code 0x0004: raw distances to at most four beacons; address 0 where there are fewer."""
     return frame(0x0004, ranges(address, ranges_m) + struct.pack("<I3x", stamp_ms % (1 << 32)))
 

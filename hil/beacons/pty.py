@@ -125,7 +125,11 @@ class BeaconThread(threading.Thread):
 
 @contextmanager
 def open_beacons(
-    rig: Rig, seed: int, out: Path, now_s: Callable[[], float], snapshot: Callable[[], Snapshot]
+    rig: Rig,
+    seed: int,
+    out: Path,
+    now_s: Callable[[], float],
+    snapshot: Callable[[], Snapshot],
 ) -> Generator[None, None, None]:
     """Beacons behind this run's own serial port, when the rig's driver is the one that looks there;
     else nothing.
@@ -144,7 +148,9 @@ def open_beacons(
         return
     config = BeaconConfig()
     system = BeaconSystem(
-        config, seed, {name: own.address for name, own in reference.mounted.items()}
+        config,
+        seed,
+        {name: own.address for name, own in reference.mounted.items()},
     )
     mounted = reference.mounted
 
@@ -173,7 +179,10 @@ def open_beacons(
 
 @contextmanager
 def open_hedges(
-    rig: Rig, seed: int, now_s: Callable[[], float], snapshot: Callable[[], Snapshot]
+    rig: Rig,
+    seed: int,
+    now_s: Callable[[], float],
+    snapshot: Callable[[], Snapshot],
 ) -> Generator[None, None, None]:
     """A beacon on each drone whose autopilot is fed by one that this run makes up, each with a port
     of its own.

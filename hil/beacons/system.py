@@ -104,7 +104,12 @@ class BeaconSystem:
             world_s + self.listener_offset_s + self._listener_drift * (world_s - self._drift_from_s)
         )
 
-    def hear(self, name: str, time_s: float, place_w: Array) -> ByteChunk:
+    def hear(
+        self,
+        name: str,
+        time_s: float,
+        place_w: Array,
+    ) -> ByteChunk:
         """One turn of one beacon: what the line brings because of it, perhaps nothing of use.
 
         Args:
@@ -122,7 +127,11 @@ class BeaconSystem:
         return ByteChunk(self._line_free_s, data)
 
     def _frames(
-        self, name: str, time_s: float, place_w: Array, latency_s: float
+        self,
+        name: str,
+        time_s: float,
+        place_w: Array,
+        latency_s: float,
     ) -> Iterator[bytes]:
         address = self._addresses[name]
         shown_s = time_s + self._clock_s + self._drift * (time_s - self._drift_from_s)
@@ -147,7 +156,12 @@ class BeaconSystem:
             yield self._damaged(sent.telemetry(3.9, -60), rng)
             yield self._damaged(sent.stationary(STATIONARY_M), rng)
 
-    def _shown(self, beacon: _Beacon, time_s: float, place_w: Array) -> tuple[Vec3, float] | None:
+    def _shown(
+        self,
+        beacon: _Beacon,
+        time_s: float,
+        place_w: Array,
+    ) -> tuple[Vec3, float] | None:
         """The position as the system has it, and its quality; None when it has none."""
         config = self._config
         rng = self._rng
@@ -236,7 +250,12 @@ def _paths(world_log: Path, mounted: Mapping[str, Mounted]) -> tuple[Array, dict
     return np.array([time_s for time_s, _ in rows]), paths
 
 
-def _place(name: str, row: dict[str, Any], target_id: int, lever_m: Vec3) -> Array:
+def _place(
+    name: str,
+    row: dict[str, Any],
+    target_id: int,
+    lever_m: Vec3,
+) -> Array:
     if name == "target":
         target = next(found for found in row["objects"] if found["id"] == target_id)
         (x, y, z), yaw = target["t"], target["yaw"]

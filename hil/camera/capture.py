@@ -57,7 +57,13 @@ def true_camera(context: PartContext, built: Built | None) -> TrueCamera:
     scene = scene_of(built.rig)
     imaging = imaging_of(built.rig)
     return TrueCamera(
-        own.camera, mounts.T_b_c, mounts.T_b_v, built.rig.layout, sensors, scene, imaging
+        own.camera,
+        mounts.T_b_c,
+        mounts.T_b_v,
+        built.rig.layout,
+        sensors,
+        scene,
+        imaging,
     )
 
 
@@ -82,7 +88,12 @@ class CaptureTiming:
         return self.phase_s + index / self.rate_hz
 
 
-def timing_of(role: Role, rate_hz: float, phase_s: float | None, latency_s: float) -> CaptureTiming:
+def timing_of(
+    role: Role,
+    rate_hz: float,
+    phase_s: float | None,
+    latency_s: float,
+) -> CaptureTiming:
     """The timing of one role's camera; by default the receiver's is out of step with the sender's,
     as real ones are.
     """
@@ -189,7 +200,9 @@ class CaptureTicker(Generic[T]):
         if freeze is None:
             snapshot = self._harness.world.snapshot()
             self._last = Capture(
-                self._clock.now_ns() + self._stamps.next_ns(), index, self._take(snapshot, index)
+                self._clock.now_ns() + self._stamps.next_ns(),
+                index,
+                self._take(snapshot, index),
             )
         if self._last is not None and freeze is not Freeze.SILENT:
             if self._timing.latency_s > 0.0:

@@ -55,7 +55,11 @@ class DrawnFrame(Frame):
     __slots__ = ("_picture", "_size")
 
     def __init__(
-        self, stamp_ns: int, frame_id: int, picture: PendingPicture, size: tuple[int, int]
+        self,
+        stamp_ns: int,
+        frame_id: int,
+        picture: PendingPicture,
+        size: tuple[int, int],
     ) -> None:
         """``size``: width and height of both images."""
         for name, told in (

@@ -64,18 +64,31 @@ class CameraRenderer:
         quick = setup.imaging if is_quick(setup.imaging) else None
         self._direct = quick is not None or is_plain(setup.imaging)
         self._renderer = Renderer(
-            setup.camera, setup.T_b_c, setup.T_b_v, setup.layout, noise, seed, imaging=quick
+            setup.camera,
+            setup.T_b_c,
+            setup.T_b_v,
+            setup.layout,
+            noise,
+            seed,
+            imaging=quick,
         )
         self._blank = marked_drone(setup.T_b_v, setup.layout, hidden=True)
         self._marked: dict[int, Model] = {}
 
-    def shoot(self, stage: RenderedInstant, role: Role, shot_seed: int) -> Shot:
+    def shoot(
+        self,
+        stage: RenderedInstant,
+        role: Role,
+        shot_seed: int,
+    ) -> Shot:
         """Return the image that the role's camera delivers. The drone of the role must be on the
         stage.
         """
         key = self._renderer.key(role, shot_seed)
         light, depth = self._renderer.draw(
-            stage.T_w_b[role], self._bodies(stage, role, key % LIGHTS), key
+            stage.T_w_b[role],
+            self._bodies(stage, role, key % LIGHTS),
+            key,
         )
         kept = self._renderer.thinned(depth)
         if self._direct:
@@ -85,7 +98,13 @@ class CameraRenderer:
             kept,
         )
 
-    def true_depth_m(self, stage: RenderedInstant, role: Role, u: float, v: float) -> float | None:
+    def true_depth_m(
+        self,
+        stage: RenderedInstant,
+        role: Role,
+        u: float,
+        v: float,
+    ) -> float | None:
         """Exact depth along the optical axis of what is seen at a pixel, rotors excepted; None for
         the sky.
         """
@@ -122,11 +141,19 @@ class CameraRenderer:
                     for number, marker in enumerate(setup.layout.markers)
                 )
             self._marked[light] = marked_drone(
-                setup.T_b_v, setup.layout, hidden=False, prints=prints
+                setup.T_b_v,
+                setup.layout,
+                hidden=False,
+                prints=prints,
             )
         return self._marked[light]
 
-    def _bodies(self, stage: RenderedInstant, role: Role, light: int = 0) -> list[Body]:
+    def _bodies(
+        self,
+        stage: RenderedInstant,
+        role: Role,
+        light: int = 0,
+    ) -> list[Body]:
         """Everything on the stage but the drone of the role."""
         drones = [
             flying(
@@ -144,7 +171,9 @@ class CameraRenderer:
 def _standing(things: Sequence[Thing]) -> list[Body]:
     return [
         standing(
-            CAR if thing.kind == "car" else person(thing.variant), thing.position_w_m, thing.yaw_rad
+            CAR if thing.kind == "car" else person(thing.variant),
+            thing.position_w_m,
+            thing.yaw_rad,
         )
         for thing in things
     ]
@@ -199,7 +228,11 @@ def _solid(model: Model) -> _Solid:
     return _Solid(p0, normal, (normal * p0).sum(axis=1), across, down, center, radius2)
 
 
-def _depth_of(model: Model, T_c_body: Pose, ray: Array) -> float:
+def _depth_of(
+    model: Model,
+    T_c_body: Pose,
+    ray: Array,
+) -> float:
     """Depth of the nearest face that a ray (x, y, 1) meets from its front; inf when it meets
     none.
     """

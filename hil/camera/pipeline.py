@@ -34,7 +34,11 @@ def is_plain(imaging: Imaging) -> bool:
     return imaging == plain
 
 
-def develop(light: Image, imaging: Imaging, rng: np.random.Generator) -> Image:
+def develop(
+    light: Image,
+    imaging: Imaging,
+    rng: np.random.Generator,
+) -> Image:
     """Image of ``light``, shape (3, h, w) in the order B, G, R.
 
     Raises:
@@ -83,7 +87,11 @@ def _filtered(light: Light, kernel: Array) -> Light:
     return np.asarray(filtered, np.float32)
 
 
-def expose(seen: Light, imaging: Imaging, rng: np.random.Generator) -> Light:
+def expose(
+    seen: Light,
+    imaging: Imaging,
+    rng: np.random.Generator,
+) -> Light:
     """Light as the sensor measures it, with noise, 0..255; through a mosaic when there is one."""
     lit = seen * np.float32(imaging.exposure)
     if not imaging.mosaic:
@@ -91,7 +99,11 @@ def expose(seen: Light, imaging: Imaging, rng: np.random.Generator) -> Light:
     return _interpolated(_measured(_mosaic(lit), imaging, rng))
 
 
-def _measured(lit: Light, imaging: Imaging, rng: np.random.Generator) -> Light:
+def _measured(
+    lit: Light,
+    imaging: Imaging,
+    rng: np.random.Generator,
+) -> Light:
     variance = np.float32(imaging.read_sigma**2) + np.float32(imaging.shot_gain) * lit
     noisy = lit + np.sqrt(variance) * rng.standard_normal(lit.shape, np.float32)
     return np.clip(noisy, np.float32(0.0), np.float32(255.0))
@@ -124,10 +136,18 @@ def process(measured: Light, imaging: Imaging) -> Image:
     if imaging.sharpen == 0.0:
         return (image + np.float32(0.5)).astype(np.uint8)
     blurred = cv2.GaussianBlur(
-        image, (0, 0), imaging.sharpen_sigma_px, borderType=cv2.BORDER_REPLICATE
+        image,
+        (0, 0),
+        imaging.sharpen_sigma_px,
+        borderType=cv2.BORDER_REPLICATE,
     )
     sharp = cv2.addWeighted(
-        image, 1.0 + imaging.sharpen, blurred, -imaging.sharpen, 0.0, dtype=cv2.CV_8U
+        image,
+        1.0 + imaging.sharpen,
+        blurred,
+        -imaging.sharpen,
+        0.0,
+        dtype=cv2.CV_8U,
     )
     return np.asarray(sharp, np.uint8)
 
@@ -140,7 +160,12 @@ def jpeg(image: Image, quality: int) -> Image:
     return np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)
 
 
-def _last_of_stream(seen: Light, imaging: Imaging, crf: int, rng: np.random.Generator) -> Image:
+def _last_of_stream(
+    seen: Light,
+    imaging: Imaging,
+    crf: int,
+    rng: np.random.Generator,
+) -> Image:
     """The last frame of a short stream in which the view moves evenly by a few pixels a frame, to
     its place.
     """

@@ -82,7 +82,12 @@ class RenderedCamera:
         self._imaging = None if quick is not None else imaging
         name = f"the {context.role.value}'s rendered camera"
         self._ticker: CaptureTicker[PendingPicture] = CaptureTicker(
-            name, config.timing(context), context.role, context.clock, harness, self._take
+            name,
+            config.timing(context),
+            context.role,
+            context.clock,
+            harness,
+            self._take,
         )
         self._thread: ThreadPoolExecutor | None = None
         self._lock = Lock()
@@ -134,5 +139,9 @@ class RenderedCamera:
         return self._renderer.render(snapshot, self._role, frame_id, exposed)
 
 
-def _developed(imaging: Imaging, light: Image, key: int) -> Image:
+def _developed(
+    imaging: Imaging,
+    light: Image,
+    key: int,
+) -> Image:
     return develop(light, imaging, np.random.default_rng(key))

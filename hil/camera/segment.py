@@ -129,7 +129,10 @@ class FrameSegment:
             self.slot_headers.append(np.frombuffer(memory, np.int64, 2, start))
             color = np.frombuffer(memory, np.uint8, layout.color_bytes, start + SLOT_HEADER_BYTES)
             depth = np.frombuffer(
-                memory, np.uint16, layout.depth_bytes // 2, start + layout.depth_start
+                memory,
+                np.uint16,
+                layout.depth_bytes // 2,
+                start + layout.depth_start,
             )
             self.colors.append(color.reshape(*reversed(layout.color_size), 3))
             self.depths.append(depth.reshape(*reversed(layout.depth_size)))
@@ -159,7 +162,9 @@ def map_segment(path: Path) -> FrameSegment | None:
     finally:
         os.close(handle)
     magic, width, height, depth_width, depth_height, fps, slots = np.frombuffer(
-        memory, np.int64, 7
+        memory,
+        np.int64,
+        7,
     ).tolist()
     if magic != MAGIC:
         memory.close()

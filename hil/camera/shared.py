@@ -103,7 +103,12 @@ class SharedCameraWriter:
         self._segment = None
         os.close(self._handle)
 
-    def write(self, stamp_ns: int, color: Image, depth_mm: Depths) -> None:
+    def write(
+        self,
+        stamp_ns: int,
+        color: Image,
+        depth_mm: Depths,
+    ) -> None:
         """Publish one frame and wake the reader.
 
         Args:
@@ -146,7 +151,12 @@ class SharedCameraReader:
     they were read.
     """
 
-    def __init__(self, run: str, role: Role, open_timeout_s: float) -> None:
+    def __init__(
+        self,
+        run: str,
+        role: Role,
+        open_timeout_s: float,
+    ) -> None:
         self._path = segment_path(run, role)
         self._open_timeout_s = open_timeout_s
         self._segment: FrameSegment | None = None
@@ -228,7 +238,10 @@ class SharedCameraReader:
         self._given = newest
         slot = newest % segment.layout.slots
         return SharedFrame(
-            newest, int(segment.slot_headers[slot][1]), segment.colors[slot], segment.depths[slot]
+            newest,
+            int(segment.slot_headers[slot][1]),
+            segment.colors[slot],
+            segment.depths[slot],
         )
 
     def _wait(self, timeout_s: float) -> None:

@@ -81,7 +81,13 @@ class SoftwareDevice:
     def readout_ns(self) -> int:
         return self._clock.readout_ns
 
-    def image(self, kind: Kind, pixels: Image | Depths, stamp_ns: int, number: int) -> Any:
+    def image(
+        self,
+        kind: Kind,
+        pixels: Image | Depths,
+        stamp_ns: int,
+        number: int,
+    ) -> Any:
         """A copy of the pixels as an image that can be given out. ``stamp_ns``: mid-exposure,
         CLOCK_MONOTONIC.
         """
@@ -97,7 +103,12 @@ class SoftwareDevice:
             frame.depth_units = DEPTH_UNIT_M
         return frame
 
-    def give(self, kind: Kind, image: Any, stamp_ns: int) -> None:
+    def give(
+        self,
+        kind: Kind,
+        image: Any,
+        stamp_ns: int,
+    ) -> None:
         """Give out an image, with the metadata of its instant, as a device does."""
         sensor = self._sensors[kind]
         keys = self._rs.frame_metadata_value
@@ -115,7 +126,12 @@ class SoftwareDevice:
         return (monotonic_ns + self._wall_offset_ns) / 1e6
 
 
-def _stream(rs: Any, kind: Kind, model: CameraModel, fps: int) -> Any:
+def _stream(
+    rs: Any,
+    kind: Kind,
+    model: CameraModel,
+    fps: int,
+) -> Any:
     lens = rs.intrinsics()
     lens.width = model.width
     lens.height = model.height

@@ -50,7 +50,12 @@ def _stretched(parts: Array, stretch: Vec3) -> Array:
     return grown
 
 
-def drone_parts(T_b_v: Pose, layout: MarkerLayout, *, marked: bool) -> Array:
+def drone_parts(
+    T_b_v: Pose,
+    layout: MarkerLayout,
+    *,
+    marked: bool,
+) -> Array:
     """Boxes of a drone in body FRD, (d, 15), with the backs of its marker plates when it carries
     them.
     """
@@ -104,7 +109,11 @@ class Placed:
     per_object: int
 
 
-def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Placed:
+def place(
+    setup: CameraSetup,
+    snapshot: Snapshot,
+    later_s: float = 0.0,
+) -> Placed:
     """Put the snapshot's objects, and the other drone, before the camera, as
     ``Snapshot.carried_on`` by ``later_s``.
     """
@@ -137,16 +146,26 @@ def place(setup: CameraSetup, snapshot: Snapshot, later_s: float = 0.0) -> Place
     return Placed(boxes, extents, frame, per_object)
 
 
-def _walking(thing: ObjectTruth, later_s: float, stretch: Vec3) -> Array:
+def _walking(
+    thing: ObjectTruth,
+    later_s: float,
+    stretch: Vec3,
+) -> Array:
     """Return the boxes of a person in their gait."""
     strides = thing.strides_after(later_s) + OWN_PHASE * thing.object_id
     return _posture(
-        round(strides * POSTURES) % POSTURES, round(thing.speed_mps / SPEED_STEP_MPS), stretch
+        round(strides * POSTURES) % POSTURES,
+        round(thing.speed_mps / SPEED_STEP_MPS),
+        stretch,
     )
 
 
 @lru_cache(2048)
-def _posture(number: int, speed: int, stretch: Vec3) -> Array:
+def _posture(
+    number: int,
+    speed: int,
+    stretch: Vec3,
+) -> Array:
     return _stretched(
         np.array(boxes_of_a_walker(number / POSTURES, speed * SPEED_STEP_MPS)), stretch
     )

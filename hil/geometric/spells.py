@@ -36,12 +36,22 @@ class Spells:
         self._seed = seed
         self._chains: dict[int, Spell] = {}
 
-    def missed(self, frame: int, things: int, config: DetectorConfig) -> tuple[int, ...]:
+    def missed(
+        self,
+        frame: int,
+        things: int,
+        config: DetectorConfig,
+    ) -> tuple[int, ...]:
         """The things, of so many, that the detector does not find in this frame."""
         share = 1.0 - config.recall
         return tuple(k for k in range(things) if self._at(k, frame, share, config.miss_frames).on)
 
-    def invented(self, frame: int, camera: CameraModel, config: DetectorConfig) -> Detection | None:
+    def invented(
+        self,
+        frame: int,
+        camera: CameraModel,
+        config: DetectorConfig,
+    ) -> Detection | None:
         """A box of nothing: in one place as long as the spell lasts."""
         spell = self._at(INVENTION, frame, config.false_positives, config.miss_frames)
         if not spell.on:
@@ -52,7 +62,13 @@ class Spells:
         h = low + (high - low) * h
         return Detection(Box(u * camera.width - 0.5 * w, v * camera.height - 0.5 * h, w, h), SCORE)
 
-    def _at(self, who: int, frame: int, share: float, frames: float) -> Spell:
+    def _at(
+        self,
+        who: int,
+        frame: int,
+        share: float,
+        frames: float,
+    ) -> Spell:
         spell = self._chains.get(who)
         if spell is None or not 0 <= frame - spell.frame <= LONG_AGO:
             spell = self._chains[who] = Spell(self._draw(who, frame) < share, frame, frame)

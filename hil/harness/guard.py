@@ -147,7 +147,11 @@ class MemoryBeatLine:
 
 
 async def keep_watch(
-    spec: PartSpec, context: PartContext, beats: MemoryBeatLine, config: MissionConfig, log: Log
+    spec: PartSpec,
+    context: PartContext,
+    beats: MemoryBeatLine,
+    config: MissionConfig,
+    log: Log,
 ) -> None:
     """A drone's guard; it outlives the drone's programs, and goes on until it is cancelled."""
     vehicle: Watched = create(spec, context)

@@ -13,7 +13,10 @@ from path.messages import Role
 
 
 def faults_of_legs(
-    asked: Mapping[int, Sequence[str]], level: str, *, in_process: bool
+    asked: Mapping[int, Sequence[str]],
+    level: str,
+    *,
+    in_process: bool,
 ) -> dict[int, list[Fault]]:
     """Read the faults of a relay or a team, by leg. Raises PartError for those that there are not.
 
@@ -52,7 +55,12 @@ class LegFaults:
         self._newest: dict[str, tuple[int, Role, FaultTrigger]] = {}
         self._coming: set[asyncio.Task[None]] = set()
 
-    def open_leg(self, number: int, sender: str, receiver: str) -> None:
+    def open_leg(
+        self,
+        number: int,
+        sender: str,
+        receiver: str,
+    ) -> None:
         self._ends[number] = {Role.SENDER: sender, Role.RECEIVER: receiver}
         trigger = FaultTrigger([*self._faults.get(0, ()), *self._faults.get(number, ())])
         for role, name in self._ends[number].items():

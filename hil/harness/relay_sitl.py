@@ -124,7 +124,12 @@ class LiveField:
             return RoleResult(Role.RECEIVER, Outcome.CRASHED, what, responsible=False, landed=False)
         return result
 
-    def open_leg(self, number: int, sender: str, receiver: str) -> None:
+    def open_leg(
+        self,
+        number: int,
+        sender: str,
+        receiver: str,
+    ) -> None:
         self._run.tell_world({"open": number, "sender": sender, "receiver": receiver})
         self._run.legs.open_leg(number, sender, receiver)
 
@@ -176,7 +181,11 @@ class LiveField:
         self._run.tell_world({what: about, "at_ns": time.monotonic_ns()})
 
 
-def report_of(request: RelayRequest, run: RealTimeRun, ending: Ending) -> RelayReport:
+def report_of(
+    request: RelayRequest,
+    run: RealTimeRun,
+    ending: Ending,
+) -> RelayReport:
     finished = ending.finished
     wall_s = ending.wall_s
     unseen = [TargetWatch(None, 0.0, 0.0)] * max(1, len(request.targets))

@@ -263,7 +263,11 @@ class UdpFaultProxy(FaultyLink[int]):
     """
 
     def __init__(
-        self, sender: ProxySide, receiver: ProxySide, seed: int, faults: LinkFaults | None = None
+        self,
+        sender: ProxySide,
+        receiver: ProxySide,
+        seed: int,
+        faults: LinkFaults | None = None,
     ) -> None:
         super().__init__({side: f"proxy {side} {seed}" for side in (0, 1)}, faults or LinkFaults())
         self._sides = sender, receiver
@@ -289,7 +293,12 @@ class UdpFaultProxy(FaultyLink[int]):
     async def __aexit__(self, *_: object) -> None:
         await self._close()
 
-    def forward(self, data: bytes, side: int, source: Address) -> None:
+    def forward(
+        self,
+        data: bytes,
+        side: int,
+        source: Address,
+    ) -> None:
         """A datagram came in on a side: on to the end of the other. Strangers' are ignored."""
         if source == self._sides[side].end:
             if self.overheard is not None:

@@ -240,7 +240,12 @@ class AgreedPairs:
         self.odd = 0
         self.sure_ns = None
 
-    def _compare(self, capture_ns: int, iou: float, tau: float) -> None:
+    def _compare(
+        self,
+        capture_ns: int,
+        iou: float,
+        tau: float,
+    ) -> None:
         own = self.method.evidence
         self.block.append(((iou - tau) / max(1.0 - tau, ROUNDING), iou >= tau))
         if (

@@ -24,7 +24,12 @@ beside it.
 """
 
 
-def recounted(offsets: Offsets, first_ns: int, odd: int, own: EvidenceConfig) -> float:
+def recounted(
+    offsets: Offsets,
+    first_ns: int,
+    odd: int,
+    own: EvidenceConfig,
+) -> float:
     """Return log10 of the most evidence that a run can have; never below 0.
 
     Args:

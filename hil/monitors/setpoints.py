@@ -98,7 +98,9 @@ class JudgedGap:
 
 
 def judged(
-    gap: SetpointGap, late: Iterable[Late], stood: Iterable[Sequence[float]] = ()
+    gap: SetpointGap,
+    late: Iterable[Late],
+    stood: Iterable[Sequence[float]] = (),
 ) -> JudgedGap:
     """A gap beside all that its own drone's program says of its lateness.
 

@@ -91,7 +91,12 @@ class TruthLog:
         record = {"role": role.value, "gap_s": autopilot.setpoint_gap_s, "last_ns": last_ns}
         self._log.write("/setpoint_gap", self._epoch_ns + round(world.time_s * 1e9), record)
 
-    def violation(self, time_s: float, monitor: str, detail: str) -> None:
+    def violation(
+        self,
+        time_s: float,
+        monitor: str,
+        detail: str,
+    ) -> None:
         self._log.write(
             "/violation",
             self._epoch_ns + round(time_s * 1e9),

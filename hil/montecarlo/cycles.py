@@ -107,7 +107,12 @@ def _ns(time_s: float) -> int:
 class _Cycles:
     """Both drones in one attempt. ``done``: see ``CyclesRun``."""
 
-    def __init__(self, setup: HandoverSetup, believed: Believed, method: MethodConfig) -> None:
+    def __init__(
+        self,
+        setup: HandoverSetup,
+        believed: Believed,
+        method: MethodConfig,
+    ) -> None:
         rig = setup.rig
         own = rig.sender.mount
         carried = Mount(rig.receiver.mount.T_b_c, rig.sender.mount.T_b_v)
@@ -149,7 +154,9 @@ class _Cycles:
                 self._sender.hear(candidate, candidate.capture_ns, now_ns)
             elif which in self._targets:
                 self._receiver.hear(
-                    self._targets[which], int(setup.seen.stamp_1[which]), now_ns + setup.clock_ns
+                    self._targets[which],
+                    int(setup.seen.stamp_1[which]),
+                    now_ns + setup.clock_ns,
                 )
         return len(events)
 
@@ -171,7 +178,10 @@ class _Cycles:
             self.record.own_whose[number] = who
         else:
             self.record.own_miss(
-                message.reason if isinstance(found, Sighting) else found, number, stamp_ns, now_ns
+                message.reason if isinstance(found, Sighting) else found,
+                number,
+                stamp_ns,
+                now_ns,
             )
         for pair in self._sender.judge(now_ns):
             self.record.pair(pair, now_ns)
@@ -235,7 +245,13 @@ class _Record:
     def __len__(self) -> int:
         return len(self._ints) + len(self._rows)
 
-    def own_miss(self, reason: MissReason, number: int, stamp_ns: int, now_ns: int) -> None:
+    def own_miss(
+        self,
+        reason: MissReason,
+        number: int,
+        stamp_ns: int,
+        now_ns: int,
+    ) -> None:
         self._rows.append(
             (OWN_MISS, REASONS.index(reason), now_ns, 0, stamp_ns, number, stamp_ns, 0, 0, 0, 0)
         )
@@ -272,7 +288,11 @@ class _Record:
             self._placed_iou[len(self) - 1] = pair.placed_iou
 
     def _by_other(
-        self, candidate: Candidate, values: tuple[float, ...], box: Box, own_box: Box
+        self,
+        candidate: Candidate,
+        values: tuple[float, ...],
+        box: Box,
+        own_box: Box,
     ) -> float:
         """The overlap by the mapping that the method does not use."""
         T_v_c2 = rigid_from_quat(normalized(candidate.rotation_v_c2), candidate.position_v_m)

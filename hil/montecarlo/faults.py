@@ -64,7 +64,12 @@ def direction(rng: Generator) -> Array:
     return np.array([math.cos(angle), math.sin(angle)])
 
 
-def _spells(rng: Generator, most: int, low_s: float, high_s: float) -> Array:
+def _spells(
+    rng: Generator,
+    most: int,
+    low_s: float,
+    high_s: float,
+) -> Array:
     """One to ``most`` spells within the first five seconds, lengths spread evenly over their
     logarithm.
     """
@@ -74,7 +79,11 @@ def _spells(rng: Generator, most: int, low_s: float, high_s: float) -> Array:
     return np.stack((start, start + length), axis=1)
 
 
-def _with_fault(faults: HandoverFaults, name: FaultName, rng: Generator) -> HandoverFaults:
+def _with_fault(
+    faults: HandoverFaults,
+    name: FaultName,
+    rng: Generator,
+) -> HandoverFaults:
     match name:
         case "marker_occlusion":
             faults = replace(faults, hidden=_spells(rng, 2, 0.1, 3.0))

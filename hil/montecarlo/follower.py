@@ -57,7 +57,12 @@ class Follower:
         self._track: TargetTrack | None = None
         self.stated: list[StatedIdentity] = []
 
-    def look(self, view: HandoverView, time_s: float, T_n_c: Pose) -> Sighting | MissReason:
+    def look(
+        self,
+        view: HandoverView,
+        time_s: float,
+        T_n_c: Pose,
+    ) -> Sighting | MissReason:
         """The target in D1's next frame, taken at an instant of the attempt. ``T_n_c``: as D1
         believes.
         """
@@ -86,7 +91,12 @@ class Follower:
                 return place(detection.box, depth, self._camera, T_n_c, self._down_m)
         return MissReason.NO_TARGET
 
-    def _followed(self, place_n_m: Vec3, stamp_ns: int, time_s: float) -> TargetTrack:
+    def _followed(
+        self,
+        place_n_m: Vec3,
+        stamp_ns: int,
+        time_s: float,
+    ) -> TargetTrack:
         """A track of what moved as the target did, up to where it is now."""
         before_s = np.linspace(-FOLLOWED_S, 0.0, STEPS, endpoint=False)
         moved = self._things.at(time_s + np.append(before_s, 0.0))[0][:, TARGET]

@@ -61,7 +61,10 @@ class MonteCarloHandovers:
 
 
 def _result(
-    attempt: Attempt, setup: HandoverSetup, ran: CyclesRun, method: MethodConfig
+    attempt: Attempt,
+    setup: HandoverSetup,
+    ran: CyclesRun,
+    method: MethodConfig,
 ) -> MonteCarloHandover:
     """Return the result of an attempt by the paper's gate."""
     series = ran.series

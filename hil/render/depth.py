@@ -21,7 +21,12 @@ class DepthRenderer:
     the same bytes.
     """
 
-    def __init__(self, renderer: Renderer, camera: CameraModel, T_color_depth: Pose) -> None:
+    def __init__(
+        self,
+        renderer: Renderer,
+        camera: CameraModel,
+        T_color_depth: Pose,
+    ) -> None:
         """``renderer`` is that of the colour camera: the bodies, the noise model and the seed are
         its.
         """
@@ -35,7 +40,12 @@ class DepthRenderer:
         self._owner = np.empty(shape, np.int16)
         self._edges = np.empty(shape, np.uint8)
 
-    def render(self, snapshot: Snapshot, role: Role, frame_seed: int) -> Depths:
+    def render(
+        self,
+        snapshot: Snapshot,
+        role: Role,
+        frame_seed: int,
+    ) -> Depths:
         """Depth, shape (h, w), z along the depth camera's axis in millimetres, 0 where there is
         none.
         """
@@ -50,7 +60,10 @@ class DepthRenderer:
         ground_depth(ground_plane(T_w_d), x, y, inverse_z)
         sun = T_w_d.R.T @ SUN_W
         faces, tags, count, _ = set_up(
-            renderer.bodies(snapshot, role), T_w_d.inverse(), sun, self._lens.view
+            renderer.bodies(snapshot, role),
+            T_w_d.inverse(),
+            sun,
+            self._lens.view,
         )
         kernels.draw_faces(faces, tags, count, x, y, inverse_z, owner, edges)
         depth = np.empty(owner.shape, np.uint16)

@@ -110,7 +110,11 @@ class Look:
         return replace(own, read_sigma=read, shot_gain=shot)
 
 
-def _sun(azimuth_deg: float, elevation_deg: float, strength: float) -> tuple[float, float, float]:
+def _sun(
+    azimuth_deg: float,
+    elevation_deg: float,
+    strength: float,
+) -> tuple[float, float, float]:
     """``azimuth_deg``: clockwise from north."""
     a = math.radians(azimuth_deg)
     e = math.radians(elevation_deg)

@@ -86,7 +86,13 @@ def _lines() -> GroundPatches:
 class Overlay:
     """Draws one scene's overlay into the light that a camera sees of the ground."""
 
-    def __init__(self, look: Look, camera: CameraModel, rays: Sequence[Singles], seed: int) -> None:
+    def __init__(
+        self,
+        look: Look,
+        camera: CameraModel,
+        rays: Sequence[Singles],
+        seed: int,
+    ) -> None:
         """``rays``: x and y of each pixel's ray on z = 1, (h, w) each."""
         self._look = look
         self._camera = camera
@@ -101,7 +107,12 @@ class Overlay:
             for gain in look.gain
         ]
 
-    def on_ground(self, T_w_c: Pose, casters: Sequence[Body], image: Planes) -> None:
+    def on_ground(
+        self,
+        T_w_c: Pose,
+        casters: Sequence[Body],
+        image: Planes,
+    ) -> None:
         """Litter, reflections and shadows, into ``image`` (3, h, w) of the ground alone."""
         T_c_w = T_w_c.inverse()
         found = self._patches
@@ -132,7 +143,10 @@ class Overlay:
             cv2.LUT(plane, gains, plane)
 
     def _visible(
-        self, points_w: Array, colors: Array, T_c_w: Pose
+        self,
+        points_w: Array,
+        colors: Array,
+        T_c_w: Pose,
     ) -> tuple[list[NDArray[np.int32]], Array]:
         """Polygons (n, k, 3) of the world that are in the image, as OpenCV takes them, and their
         colours.
@@ -156,7 +170,12 @@ class Overlay:
         scaled = np.round(pixels[kept] * (1 << SHIFT)).astype(np.int32)
         return list(scaled), colors[kept]
 
-    def _darken(self, T_c_w: Pose, casters: Sequence[Body], image: Planes) -> None:
+    def _darken(
+        self,
+        T_c_w: Pose,
+        casters: Sequence[Body],
+        image: Planes,
+    ) -> None:
         """Shadows of the bodies: every rectangle, carried to the ground along the sun's rays."""
         mask = self._mask
         mask.fill(0)
@@ -169,7 +188,9 @@ class Overlay:
             placed = body.T_w_body.apply(points.reshape(-1, 3)).reshape(points.shape)
             height = np.maximum(placed[..., 2:], 0.0)
             for polygon in self._visible(
-                placed - height / self._sun[2] * self._sun, corners, T_c_w
+                placed - height / self._sun[2] * self._sun,
+                corners,
+                T_c_w,
             )[0]:
                 cv2.fillConvexPoly(mask, polygon, 255, cv2.LINE_AA, SHIFT)
         if not mask.any():

@@ -97,7 +97,10 @@ class Face(NamedTuple):
 
 
 def box(
-    center: Sequence[float] | Array, size: Sequence[float], color: Color, axes: Array | None = None
+    center: Sequence[float] | Array,
+    size: Sequence[float],
+    color: Color,
+    axes: Array | None = None,
 ) -> list[Face]:
     """Six outward faces of a box; ``axes`` holds its axes in columns (default: those of the
     body).
@@ -129,7 +132,9 @@ def drone() -> Model:
 
 
 def printed_board(
-    shades: Image, side_m: float, light: tuple[float, float] = (INK[0], PAPER[0])
+    shades: Image,
+    side_m: float,
+    light: tuple[float, float] = (INK[0], PAPER[0]),
 ) -> Model:
     """A flat print of square cells: origin at its top-left corner, x right, y down, z away from the
     viewer.
@@ -147,7 +152,11 @@ def printed_board(
 
 
 def marked_drone(
-    T_b_v: Pose, layout: MarkerLayout, *, hidden: bool, prints: Sequence[Image] = ()
+    T_b_v: Pose,
+    layout: MarkerLayout,
+    *,
+    hidden: bool,
+    prints: Sequence[Image] = (),
 ) -> Model:
     """A quadrotor that carries the plates of a marker layout.
 
@@ -191,7 +200,11 @@ def _rotor(center: tuple[float, float, float]) -> Face:
     return Face(np.asarray(center) - 0.5 * (e1 + e2), e1, e2, BLADE, ROTOR)
 
 
-def _plate(T_b_m: Pose, side_m: float, kind: int) -> list[Face]:
+def _plate(
+    T_b_m: Pose,
+    side_m: float,
+    kind: int,
+) -> list[Face]:
     """White plate with its marker, and 1 mm behind it a slightly smaller backing."""
     right, up, out = T_b_m.R.T
     e1 = right * side_m
@@ -262,7 +275,12 @@ class Body:
     rates_w: Array = field(default_factory=lambda: np.zeros(3))
 
 
-def flying(model: Model, T_w_b: Pose, rotor_phase_rad: float, turning: bool) -> Body:
+def flying(
+    model: Model,
+    T_w_b: Pose,
+    rotor_phase_rad: float,
+    turning: bool,
+) -> Body:
     """A drone."""
     return Body(
         model,
@@ -277,6 +295,10 @@ def lying(model: Model, T_w_o: Pose) -> Body:
     return Body(model, T_w_o, STILL, target=False)
 
 
-def standing(model: Model, position_w_m: tuple[float, float, float], yaw_rad: float) -> Body:
+def standing(
+    model: Model,
+    position_w_m: tuple[float, float, float],
+    yaw_rad: float,
+) -> Body:
     """A car or a person, upright. ``yaw_rad``: counter-clockwise from east."""
     return Body(model, Pose(R_from_yaw(yaw_rad), np.array(position_w_m)), STILL, target=True)

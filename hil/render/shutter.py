@@ -59,7 +59,12 @@ def _cross(a: Array, b: Array) -> Array:
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
-def carried(T_w_b: Pose, T_b_c: Pose, velocity_w: Array, rates_w: Array) -> CameraMotion:
+def carried(
+    T_w_b: Pose,
+    T_b_c: Pose,
+    velocity_w: Array,
+    rates_w: Array,
+) -> CameraMotion:
     """The motion of a camera on a drone that moves and turns."""
     arm_w = T_w_b.R @ T_b_c.t
     return CameraMotion(T_w_b @ T_b_c, velocity_w + _cross(rates_w, arm_w), rates_w)
@@ -75,7 +80,12 @@ def twist(body: Body, seen: CameraMotion) -> Array:
     return np.concatenate((R_c_w @ (at_camera_w - seen.velocity_w), rates))
 
 
-def sweep(body: Body, seen: CameraMotion, camera: CameraModel, shutter: Shutter) -> Array:
+def sweep(
+    body: Body,
+    seen: CameraMotion,
+    camera: CameraModel,
+    shutter: Shutter,
+) -> Array:
     """(11,): as ``hil.render.primitives.add_body`` takes it."""
     row_s = shutter.readout_s / camera.height
     # A corner above or below the picture has its place too: what is between it and others is in the
@@ -87,7 +97,10 @@ def sweep(body: Body, seen: CameraMotion, camera: CameraModel, shutter: Shutter)
 
 
 def smear_px(
-    bodies: Sequence[Body], seen: CameraMotion, camera: CameraModel, shutter: Shutter
+    bodies: Sequence[Body],
+    seen: CameraMotion,
+    camera: CameraModel,
+    shutter: Shutter,
 ) -> tuple[float, float]:
     """The motion during an exposure, (u, v), of the body that is seen nearest to the middle; none
     where there is none.

@@ -24,7 +24,11 @@ GLEAM_RAD = math.radians(15.0)
 
 
 def lost_shares(
-    faces: Array, tags: Whole, count: int, sun_c: Array, noise: SensorNoise
+    faces: Array,
+    tags: Whole,
+    count: int,
+    sun_c: Array,
+    noise: SensorNoise,
 ) -> Singles | None:
     """Return the share of each face (count,) that has no depth; None where none loses any.
 

@@ -57,7 +57,13 @@ def _ground_tile() -> Array:
     return np.clip(tile, 0.0, 255.0)
 
 
-def _strew(tile: Array, rng: np.random.Generator, many: int, most: int, shades: Shades) -> None:
+def _strew(
+    tile: Array,
+    rng: np.random.Generator,
+    many: int,
+    most: int,
+    shades: Shades,
+) -> None:
     """Pebbles of radii up to ``most`` texels."""
     for _ in range(many):
         row, column = rng.integers(0, GROUND_SIZE, 2)
@@ -69,10 +75,16 @@ def _strew(tile: Array, rng: np.random.Generator, many: int, most: int, shades: 
         tile[rows, columns] += np.where(inside, shade, 0.0)
 
 
-def _noise(rng: np.random.Generator, fall: float, stretch: float = 1.0) -> Array:
+def _noise(
+    rng: np.random.Generator,
+    fall: float,
+    stretch: float = 1.0,
+) -> Array:
     """Unit noise whose spectrum falls with this power; ``stretch``: longer in one direction."""
     rows, columns = np.meshgrid(
-        np.fft.fftfreq(GROUND_SIZE) * stretch, np.fft.rfftfreq(GROUND_SIZE), indexing="ij"
+        np.fft.fftfreq(GROUND_SIZE) * stretch,
+        np.fft.rfftfreq(GROUND_SIZE),
+        indexing="ij",
     )
     falling = 1.0 / np.maximum(np.hypot(rows, columns), 2.0 / GROUND_SIZE) ** fall
     noise = np.fft.irfft2(

@@ -103,7 +103,10 @@ class TelloEmulator:
         self.tap: Callable[[float, str], None] | None = None
         self._sensors = TelloSensors(drone, config.home_yaw_rad)
         self.flight = TelloFlight(
-            drone, self._sensors, config.full_stick_mps, config.full_stick_dps
+            drone,
+            self._sensors,
+            config.full_stick_mps,
+            config.full_stick_dps,
         )
         self._video = video
         self._socket = bound((config.host, config.command_port))
@@ -182,10 +185,17 @@ class TelloEmulator:
             if self.tap is not None:
                 self.tap(self._now_s, text)
             self._take(
-                text, sender, self._now_s if self._arrived is None else self._arrived(arrival_s)
+                text,
+                sender,
+                self._now_s if self._arrived is None else self._arrived(arrival_s),
             )
 
-    def _take(self, text: str, sender: Address, at_s: float) -> None:
+    def _take(
+        self,
+        text: str,
+        sender: Address,
+        at_s: float,
+    ) -> None:
         words = text.split()
         word = words[0] if words else ""
         self.received[word] += 1
@@ -308,7 +318,11 @@ class TelloEmulator:
             self._socket.sendto(data, to)
 
 
-def _whole(text: str, low: int, high: int) -> int | None:
+def _whole(
+    text: str,
+    low: int,
+    high: int,
+) -> int | None:
     try:
         value = int(text)
     except ValueError:

@@ -29,7 +29,11 @@ class TelloFlight:
     """
 
     def __init__(
-        self, drone: SimDrone, sensors: TelloSensors, full_stick_mps: float, full_stick_dps: float
+        self,
+        drone: SimDrone,
+        sensors: TelloSensors,
+        full_stick_mps: float,
+        full_stick_dps: float,
     ) -> None:
         self._drone = drone
         self._sensors = sensors
@@ -48,7 +52,12 @@ class TelloFlight:
         self.speed_cm = 50
         self.motor_fault = False
 
-    def step(self, now_s: float, dt: float, heard_s: float) -> None:
+    def step(
+        self,
+        now_s: float,
+        dt: float,
+        heard_s: float,
+    ) -> None:
         """Fly until now. ``heard_s``: when the last command came."""
         self._now_s = now_s
         autopilot = self._drone.autopilot
@@ -122,7 +131,14 @@ class TelloFlight:
         self._move = move
         return None
 
-    def sticks(self, right: int, forward: int, up: int, clockwise: int, at_s: float) -> None:
+    def sticks(
+        self,
+        right: int,
+        forward: int,
+        up: int,
+        clockwise: int,
+        at_s: float,
+    ) -> None:
         """They stay as they are until the next time: only silence for 15 s ends that. ``at_s``:
         when they came.
         """

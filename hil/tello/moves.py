@@ -56,7 +56,9 @@ class TelloMove:
         """Return what is left of it."""
         passed = bool(self.via) and math.dist(position_n_m, self.via[0]) < PASSED_M
         return replace(
-            self, via=self.via[1:] if passed else self.via, wait_s=max(0.0, self.wait_s - dt)
+            self,
+            via=self.via[1:] if passed else self.via,
+            wait_s=max(0.0, self.wait_s - dt),
         )
 
     def over(self, estimate: Estimate) -> bool:
@@ -69,7 +71,10 @@ class TelloMove:
 
 
 def move_of(
-    word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float
+    word: str,
+    arguments: list[str],
+    position_n_m: Vec3,
+    yaw_rad: float,
 ) -> TelloMove | str | None:
     """Return the move that a command asks for, from where the drone is; the drone's refusal.
 
@@ -91,7 +96,10 @@ def move_of(
 
 
 def _straight(
-    word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float
+    word: str,
+    arguments: list[str],
+    position_n_m: Vec3,
+    yaw_rad: float,
 ) -> TelloMove | str:
     low, high = (1, 360) if word in TURNS else (20, 500)
     try:
@@ -107,7 +115,10 @@ def _straight(
 
 
 def _to_places(
-    word: str, arguments: list[str], position_n_m: Vec3, yaw_rad: float
+    word: str,
+    arguments: list[str],
+    position_n_m: Vec3,
+    yaw_rad: float,
 ) -> TelloMove | str:
     """``go`` and ``curve``: places are forward, left and up of the drone, cm."""
     if any(argument.startswith("m") for argument in arguments[NUMBERS[word] :]):
@@ -175,7 +186,11 @@ def _metres(point: np.ndarray) -> Vec3:
     return x, y, z
 
 
-def _place(position_n_m: Vec3, yaw_rad: float, forward_left_up_m: Vec3) -> Vec3:
+def _place(
+    position_n_m: Vec3,
+    yaw_rad: float,
+    forward_left_up_m: Vec3,
+) -> Vec3:
     forward, left, up = forward_left_up_m
     c = math.cos(yaw_rad)
     s = math.sin(yaw_rad)

@@ -155,7 +155,12 @@ class TelloVideo:
             self._socket = None
 
 
-def new_encoder(width: int, height: int, rate_hz: int, bit_rate: int) -> Any:
+def new_encoder(
+    width: int,
+    height: int,
+    rate_hz: int,
+    bit_rate: int,
+) -> Any:
     """An H.264 encoder without look-ahead that repeats key frame and parameter sets once a
     second.
     """

@@ -36,7 +36,9 @@ def tello_of(
     vehicle: TelloVehicleConfig = decode_part(own.vehicle)[1]
     camera: TelloCameraConfig = decode_part(
         PartSpec.from_table(
-            own.perception.options["camera"], f"{own.perception.where}.camera", own.perception.base
+            own.perception.options["camera"],
+            f"{own.perception.where}.camera",
+            own.perception.base,
         )
     )[1]
     video = TelloVideo(

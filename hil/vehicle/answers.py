@@ -101,7 +101,9 @@ def _items_offered(asked: Any) -> Any:
 
 def _cleared(asked: Any) -> Any:
     return mavlink.MAVLink_mission_ack_message(
-        *_from(asked), mavlink.MAV_MISSION_ACCEPTED, asked.mission_type
+        *_from(asked),
+        mavlink.MAV_MISSION_ACCEPTED,
+        asked.mission_type,
     )
 
 

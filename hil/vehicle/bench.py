@@ -44,7 +44,13 @@ class EmbeddedFarSide:
     clock on the wall.
     """
 
-    def __init__(self, rig: Rig, config: WorldConfig, url: str, seed: int) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        config: WorldConfig,
+        url: str,
+        seed: int,
+    ) -> None:
         self.kind = "px4"
         self.what = "embedded"
         self._world = World(config, seed)
@@ -84,13 +90,22 @@ class EmbeddedFarSide:
 class SimulatorFarSide:
     """A real autopilot with its own simulation, in real time from its start on."""
 
-    def __init__(self, rig: Rig, config: WorldConfig, folder: Path) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        config: WorldConfig,
+        folder: Path,
+    ) -> None:
         simulator = config.sender_simulator
         assert simulator is not None
         self.kind = self.what = simulator.kind
         # At its own speed from the start: how long it takes to be ready is measured.
         self._vehicle = SimulatedVehicle(
-            rig, Role.SENDER, replace(simulator, speedup=1.0), config, folder
+            rig,
+            Role.SENDER,
+            replace(simulator, speedup=1.0),
+            config,
+            folder,
         )
         relay = self._vehicle.relay
         if relay is None:
@@ -130,7 +145,13 @@ class EmbeddedBench:
     rig is not disturbed.
     """
 
-    def __init__(self, rig: Rig, folder: Path, speed: float = 1.0, seed: int = 0) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        folder: Path,
+        speed: float = 1.0,
+        seed: int = 0,
+    ) -> None:
         """``speed``: of the embedded vehicle's time; a simulator has its own. Raises PartError,
         PartError.
         """
@@ -237,7 +258,12 @@ class EmbeddedBench:
             Instant(now_s, self._ground_d_m - position[2], position, velocity, attitude, said)
         )
 
-    def _hear(self, message_id: int, frame: bytes, arrival_s: float) -> None:
+    def _hear(
+        self,
+        message_id: int,
+        frame: bytes,
+        arrival_s: float,
+    ) -> None:
         time_s = self._speed * (arrival_s - self._start_s)
         self.heard.arrivals_s.setdefault(message_id, []).append(time_s)
         if message_id not in DECODED:

@@ -89,11 +89,15 @@ class BoardPty:
         self._tangent = tangent
         self._ends = _End(companion), _End(truth)
         self._mav: Any = mavlink.MAVLink(
-            None, srcSystem=sysid, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1
+            None,
+            srcSystem=sysid,
+            srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1,
         )
         first, second = (end.socket.getsockname() for end in self._ends)
         self.vehicle = MavlinkVehicle(
-            MavlinkVehicleConfig(sysid, first, second=second), drone, tangent
+            MavlinkVehicleConfig(sysid, first, second=second),
+            drone,
+            tangent,
         )
         self._told_s = -math.inf
 
@@ -124,14 +128,31 @@ class BoardPty:
         vn, ve, vd = (int(v * 1e2) for v in self._drone.true_velocity_n_mps)
         attitude = list(self._drone.true_q_n_b)
         message = mavlink.MAVLink_hil_state_quaternion_message(
-            int(now_s * 1e6), attitude, 0.0, 0.0, 0.0, *place, vn, ve, vd, 0, 0, 0, 0, 0
+            int(now_s * 1e6),
+            attitude,
+            0.0,
+            0.0,
+            0.0,
+            *place,
+            vn,
+            ve,
+            vd,
+            0,
+            0,
+            0,
+            0,
+            0,
         )
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         return packet
 
 
-def boards_of(rig: Rig, world: World, stack: ExitStack) -> list[BoardPty]:
+def boards_of(
+    rig: Rig,
+    world: World,
+    stack: ExitStack,
+) -> list[BoardPty]:
     """Return both boards of a rig, behind the devices it names.
 
     Raises ValueError when it names none, OSError for a real one.

@@ -72,7 +72,12 @@ class UdpChannel:
         interval_s = self._intervals_s.get(message)
         return -1 if interval_s is None else round(interval_s * 1e6)
 
-    def set_interval(self, message: int, interval_us: int, at_s: float) -> bool:
+    def set_interval(
+        self,
+        message: int,
+        interval_us: int,
+        at_s: float,
+    ) -> bool:
         """Set a stream's interval as MAV_CMD_SET_MESSAGE_INTERVAL asks: 0 is the default rate, -1
         ends it.
 

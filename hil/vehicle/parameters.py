@@ -103,7 +103,12 @@ class Parameters:
         table, inner = self._table(name)
         return getattr(table, inner)
 
-    def _set(self, name: str, kind: int, value: float) -> None:
+    def _set(
+        self,
+        name: str,
+        kind: int,
+        value: float,
+    ) -> None:
         if name not in FIELDS:
             return
         table, inner = self._table(name)
@@ -132,5 +137,9 @@ class Parameters:
         index = self._names.index(name)
         count = len(self._names)
         return mavlink.MAVLink_param_value_message(
-            name.encode(), wire, INT32 if whole else REAL32, count, index
+            name.encode(),
+            wire,
+            INT32 if whole else REAL32,
+            count,
+            index,
         )

@@ -189,7 +189,11 @@ class StampErrors:
         return round(1e9 * (sensor.stamp_late_s + min(max(jitter_s, -self._most_s), self._most_s)))
 
 
-def as_built(rig: Rig, seed: int, drones: Mapping[Role, int] | None = None) -> Built:
+def as_built(
+    rig: Rig,
+    seed: int,
+    drones: Mapping[Role, int] | None = None,
+) -> Built:
     """Return a rig as a flight's errors make it, by its level and seed.
 
     Args:
@@ -205,19 +209,29 @@ def as_built(rig: Rig, seed: int, drones: Mapping[Role, int] | None = None) -> B
     T_b_v = other_mount(rig.sender.mount.T_b_v, sizes, streams[Role.SENDER][2])
     sender, receiver = (_own(rig.role(role), T_b_v, sizes, streams[role]) for role in Role)
     layout = other_print(
-        rig.layout, sizes, np.random.default_rng([seed, 0x7072696E, drones[Role.SENDER]])
+        rig.layout,
+        sizes,
+        np.random.default_rng([seed, 0x7072696E, drones[Role.SENDER]]),
     )
     built = replace(rig, sender=sender, receiver=receiver, layout=layout)
     return Built(built, {role: draw_sensor(sizes, streams[role][3]) for role in Role})
 
 
-def _own(own: RoleRig, T_b_v: Pose, sizes: ErrorSizes, streams: list[Generator]) -> RoleRig:
+def _own(
+    own: RoleRig,
+    T_b_v: Pose,
+    sizes: ErrorSizes,
+    streams: list[Generator],
+) -> RoleRig:
     mount = Mount(other_mount(own.mount.T_b_c, sizes, streams[1]), T_b_v)
     return replace(own, camera=other_lens(own.camera, sizes, streams[0]), mount=mount)
 
 
 def put_down(
-    said_m: tuple[float, float], sizes: ErrorSizes, seed: int, drone: int
+    said_m: tuple[float, float],
+    sizes: ErrorSizes,
+    seed: int,
+    drone: int,
 ) -> tuple[float, float]:
     """Return where a drone truly stands, east and north, that the crew put down at a place.
     ``drone``: its number.
@@ -228,7 +242,11 @@ def put_down(
     return said_m[0] + east, said_m[1] + north
 
 
-def other_lens(camera: CameraModel, sizes: ErrorSizes, rng: Generator) -> CameraModel:
+def other_lens(
+    camera: CameraModel,
+    sizes: ErrorSizes,
+    rng: Generator,
+) -> CameraModel:
     """The camera as it is: its lens bends rays a little differently, most in the corners, and two
     ways at once.
     """
@@ -270,13 +288,21 @@ def _bends(camera: CameraModel, sizes: ErrorSizes) -> tuple[float, float, float,
     )
 
 
-def other_mount(T: Pose, sizes: ErrorSizes, rng: Generator) -> Pose:
+def other_mount(
+    T: Pose,
+    sizes: ErrorSizes,
+    rng: Generator,
+) -> Pose:
     """Return the true pose of a part on its drone."""
     turn = exp(math.radians(sizes.mount_deg) * rng.standard_normal(3))
     return Pose(T.R @ turn, T.t + sizes.mount_m * rng.standard_normal(3))
 
 
-def other_print(layout: MarkerLayout, sizes: ErrorSizes, rng: Generator) -> MarkerLayout:
+def other_print(
+    layout: MarkerLayout,
+    sizes: ErrorSizes,
+    rng: Generator,
+) -> MarkerLayout:
     """The markers as they were printed, each by itself."""
     sides = 1.0 + sizes.side * rng.standard_normal(len(layout.markers))
     printed = [

@@ -78,7 +78,13 @@ class Answer:
 class Person:
     """What it says and when, by the world's clock."""
 
-    def __init__(self, config: PersonConfig, built: Built, role: Role, seed: int) -> None:
+    def __init__(
+        self,
+        config: PersonConfig,
+        built: Built,
+        role: Role,
+        seed: int,
+    ) -> None:
         own = built.rig.role(role)
         self._config = config
         self._role = role
@@ -101,7 +107,11 @@ class Person:
         return said
 
     def is_asked(
-        self, question: int, shown: Sequence[tuple[int, Box]], age_s: float, snapshot: Snapshot
+        self,
+        question: int,
+        shown: Sequence[tuple[int, Box]],
+        age_s: float,
+        snapshot: Snapshot,
     ) -> None:
         """Show a question: numbers and boxes in a frame that is so old."""
         if self._random.random() < self._config.silent:
@@ -174,5 +184,8 @@ class SimOperator:
         north, east = said.place_m
         place = (north, east, said.down_m or 0.0)
         return PlaceTold(
-            self._clock.now_ns(), place, said.error_m, height_told=said.down_m is not None
+            self._clock.now_ns(),
+            place,
+            said.error_m,
+            height_told=said.down_m is not None,
         )

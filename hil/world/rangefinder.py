@@ -37,7 +37,12 @@ class RangefinderConfig:
 class SimRangefinder:
     """One drone's."""
 
-    def __init__(self, config: RangefinderConfig, seed: int, number: int) -> None:
+    def __init__(
+        self,
+        config: RangefinderConfig,
+        seed: int,
+        number: int,
+    ) -> None:
         self.config = config
         self._random = np.random.default_rng([seed, 0x72616E6765, number])
         self._scale = 1.0 + config.scale_sigma * self._random.standard_normal()
@@ -45,7 +50,12 @@ class SimRangefinder:
         self.below_m: float | None = None
         self.stamp_s = 0.0
 
-    def sense(self, time_s: float, up_m: float, q_n_b: Quat) -> None:
+    def sense(
+        self,
+        time_s: float,
+        up_m: float,
+        q_n_b: Quat,
+    ) -> None:
         """Measure, when it is time. ``up_m``: the true height over the ground."""
         if time_s < self._next_s:
             return

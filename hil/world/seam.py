@@ -68,7 +68,11 @@ class PartHarness(Protocol):
     def lost_vehicles(self) -> set[Role]: ...
 
 
-def harness_of(harness: object | None, what: str, error: type[PartError]) -> PartHarness:
+def harness_of(
+    harness: object | None,
+    what: str,
+    error: type[PartError],
+) -> PartHarness:
     """Return the harness behind a part's context. Raises ``error`` where there is none."""
     if harness is None:
         raise error(

@@ -23,7 +23,9 @@ class WorldErrors:
 
     def __init__(self, rig: Rig) -> None:
         config = decode_table(
-            rig.world.get("estimator", {}), EstimatorConfig, rig.where("[world.estimator]")
+            rig.world.get("estimator", {}),
+            EstimatorConfig,
+            rig.where("[world.estimator]"),
         )
         self._rig, self._sizes = rig, sizes_of(level_of(rig))
         self._estimator = config.times(self._sizes)

@@ -73,7 +73,11 @@ def run(options: DetectOptions, out: TextIO | None = None) -> int:
 
 
 def _look(
-    name: str, detector: Detector, recording: Recording, folder: Path | None, stream: TextIO
+    name: str,
+    detector: Detector,
+    recording: Recording,
+    folder: Path | None,
+    stream: TextIO,
 ) -> int:
     found: list[tuple[RecordedFrame, Sequence[Detection]]] = []
     wall_ms: list[float] = []
@@ -107,7 +111,11 @@ def _look(
 
 
 def _measure(
-    options: DetectOptions, name: str, detector: Detector, source: Path, stream: TextIO
+    options: DetectOptions,
+    name: str,
+    detector: Detector,
+    source: Path,
+    stream: TextIO,
 ) -> int:
     """Judge the detector by labels; return 0 when at least one picture had some."""
     labels = read_labels(source, options.labels)
@@ -166,7 +174,11 @@ def _detector(options: DetectOptions) -> tuple[str, Detector]:
     return spec.factory.rpartition(":")[2], create(spec, context)
 
 
-def _draw(file: Path, color: Any, boxes: Sequence[Detection]) -> None:
+def _draw(
+    file: Path,
+    color: Any,
+    boxes: Sequence[Detection],
+) -> None:
     picture = color.copy()
     for each in boxes:
         x = round(each.box.x + 0.5)

@@ -31,7 +31,11 @@ def write_picture(file: Path, picture: Image) -> None:
         raise PartError(f"cannot write {file}", OTHER_FOLDER)
 
 
-def write_table(file: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+def write_table(
+    file: Path,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[object]],
+) -> None:
     """Write a CSV file. Raises PartError."""
     try:
         with file.open("w", newline="", encoding="utf-8") as table:

@@ -53,7 +53,13 @@ class Measured:
     invented: int = 0
     judged: list[Judged] = field(default_factory=list[Judged])
 
-    def look(self, picture: Image, labels: Iterable[Label], detect: Detect, regions: bool) -> None:
+    def look(
+        self,
+        picture: Image,
+        labels: Iterable[Label],
+        detect: Detect,
+        regions: bool,
+    ) -> None:
         """Judge a detector on one picture.
 
         Args:
@@ -150,7 +156,11 @@ def _around(box: Box) -> Region:
     return Region(box.x - wider, box.y - wider, box.x + box.w + wider, box.y + box.h + wider)
 
 
-def _is_there(box: Box, known: Sequence[Box], ignored: Sequence[Box]) -> bool:
+def _is_there(
+    box: Box,
+    known: Sequence[Box],
+    ignored: Sequence[Box],
+) -> bool:
     """Return whether a box is of another labelled object, or where nothing was labelled."""
     if any(iou(box, each) >= LEAST_IOU for each in known):
         return True

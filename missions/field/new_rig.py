@@ -49,7 +49,12 @@ CAMERAS = {
 }
 
 
-def write_rig(asked: str, autopilot: str, camera: str, out: TextIO) -> None:
+def write_rig(
+    asked: str,
+    autopilot: str,
+    camera: str,
+    out: TextIO,
+) -> None:
     """Write the rig and, unless there is one already, its key. Raises PartError, OSError."""
     path = Path(asked if asked.endswith(".toml") else f"{asked}.toml")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", path.stem):

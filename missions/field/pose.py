@@ -136,12 +136,22 @@ def _located(
 ) -> Looked:
     begun = busy_ns()
     found = locate_marker(
-        image, camera, layout, previous=previous, memory=memory, settings=LIKELIER
+        image,
+        camera,
+        layout,
+        previous=previous,
+        memory=memory,
+        settings=LIKELIER,
     )
     return Looked(frame, found, (busy_ns() - begun) / 1e6)
 
 
-def _say(looked: Sequence[Looked], instead: str | None, damage: str, stream: TextIO) -> None:
+def _say(
+    looked: Sequence[Looked],
+    instead: str | None,
+    damage: str,
+    stream: TextIO,
+) -> None:
     """Tell how many frames have the marker, why others have not, and how long it took."""
     poses = [each.found for each in looked if isinstance(each.found, LocatedMarker)]
     reasons = Counter(each.found.reason.value for each in looked if isinstance(each.found, Missed))

@@ -72,7 +72,12 @@ def statement(options: DesignateOptions) -> dict[str, Any] | None:
     return None
 
 
-def answer_questions(line: socket.socket, keys: TextIO, shown: TextIO, picture: Path | None) -> int:
+def answer_questions(
+    line: socket.socket,
+    keys: TextIO,
+    shown: TextIO,
+    picture: Path | None,
+) -> int:
     """Show what D1 asks, and send the numbers that are typed, until there are no more keys."""
     asked: int | None = None
     shown.write("waits for questions; a number answers, 0 is none of them, Ctrl-D ends\n")
@@ -102,7 +107,11 @@ def answer_questions(line: socket.socket, keys: TextIO, shown: TextIO, picture: 
         shown.flush()
 
 
-def show(question: Mapping[str, Any], shown: TextIO, picture: Path | None) -> None:
+def show(
+    question: Mapping[str, Any],
+    shown: TextIO,
+    picture: Path | None,
+) -> None:
     """Write a question for a person, and its picture into a file."""
     if question["asks"] is None:
         shown.write("nothing is asked any more\n")

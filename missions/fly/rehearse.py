@@ -111,7 +111,11 @@ def _absolute(table: Mapping[str, Any], base: Path) -> dict[str, Any]:
     return made
 
 
-def _world(stand_in: Mapping[str, Any], rig: Rig, mission: MissionConfig) -> dict[str, Any]:
+def _world(
+    stand_in: Mapping[str, Any],
+    rig: Rig,
+    mission: MissionConfig,
+) -> dict[str, Any]:
     """Return a world with the homes, the target and the wind that the rig says."""
     facts = facts_of(rig, mission)
     world = {**stand_in}

@@ -63,7 +63,11 @@ def run(options: StandInOptions, out: TextIO | None = None) -> int:
     os.execv(sys.executable, [sys.executable, "-m", STAND_IN, *words])
 
 
-def told(kind: str, number: int, place: str) -> str:
+def told(
+    kind: str,
+    number: int,
+    place: str,
+) -> str:
     """Return how a program reaches a stand-in."""
     if kind == "tello":
         host, _, port = place.partition(":")

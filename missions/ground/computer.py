@@ -39,7 +39,12 @@ _NAMES = {
 }
 
 
-def pace_of(rig: Rig, role: Role, *, own_only: bool = False) -> list[Pace]:
+def pace_of(
+    rig: Rig,
+    role: Role,
+    *,
+    own_only: bool = False,
+) -> list[Pace]:
     """Measure in a process of its own, the rig's own size first. Raises PartError when that
     fails.
     """
@@ -64,7 +69,11 @@ def pace_of(rig: Rig, role: Role, *, own_only: bool = False) -> list[Pace]:
     return msgspec.json.decode(ended.stdout, type=list[Pace])
 
 
-def computer_findings(rig: Rig, role: Role, share: float = 1.0) -> Iterator[Finding]:
+def computer_findings(
+    rig: Rig,
+    role: Role,
+    share: float = 1.0,
+) -> Iterator[Finding]:
     """Yield each stage's time at the rig's size, and which sizes and rates this computer holds.
 
     ``share``: of one core, if it were so much slower. Raises PartError.
@@ -93,7 +102,11 @@ def computer_findings(rig: Rig, role: Role, share: float = 1.0) -> Iterator[Find
         yield replace(each, name=f"{where} {each.name}")
 
 
-def holds_hz(pace: Pace, share: float = 1.0, margin: float = MARGIN) -> float:
+def holds_hz(
+    pace: Pace,
+    share: float = 1.0,
+    margin: float = MARGIN,
+) -> float:
     """Return how many frames of this size a second leave the margin free; 0 when the rest alone
     does not.
     """
@@ -101,7 +114,11 @@ def holds_hz(pace: Pace, share: float = 1.0, margin: float = MARGIN) -> float:
     return max(0.0, ((1.0 - margin) * share - rest) / (FLOWN * pace.frame_ms * 1e-3))
 
 
-def fits(pace: Pace, rate_hz: float | None, share: float = 1.0) -> Finding:
+def fits(
+    pace: Pace,
+    rate_hz: float | None,
+    share: float = 1.0,
+) -> Finding:
     """Find whether the rig's own size and rate are held; what is missing is given up in flight, or
     is too much.
     """
@@ -117,7 +134,10 @@ def fits(pace: Pace, rate_hz: float | None, share: float = 1.0) -> Finding:
     if most_hz < FEWEST_HZ:
         fix = f"a faster computer, or smaller images: below {FEWEST_HZ:.0f} frames a second nothing is flown"
         return Finding(
-            "fault", name, f"{detail}, {most_hz:.0f} with nothing kept free: too slow", fix
+            "fault",
+            name,
+            f"{detail}, {most_hz:.0f} with nothing kept free: too slow",
+            fix,
         )
     if rate_hz is not None and held_hz < rate_hz:
         fix = (
@@ -133,7 +153,10 @@ def waits(pace: Pace, share: float = 1.0) -> Finding:
     detail = f"up to {wait_s:.2f} s between two, while the whole image is searched; {SETPOINT_GAP_S:g} s are allowed"
     if wait_s > SETPOINT_GAP_S:
         return Finding(
-            "fault", "setpoints", f"{detail}: too slow", "a faster computer, or smaller images"
+            "fault",
+            "setpoints",
+            f"{detail}: too slow",
+            "a faster computer, or smaller images",
         )
     return Finding("ok", "setpoints", detail)
 
@@ -157,7 +180,11 @@ def refuse_share(rig: Rig, share: float) -> None:
             raise PartError(what, f"a larger share, or smaller images; `{more}` tells more")
 
 
-def _fault(rig: Rig, role: Role, share: float) -> Finding | None:
+def _fault(
+    rig: Rig,
+    role: Role,
+    share: float,
+) -> Finding | None:
     """Return a reason for which a share does not fly this role, measured once at the rig's own
     size.
     """
@@ -165,7 +192,12 @@ def _fault(rig: Rig, role: Role, share: float) -> Finding | None:
     return next((each for each in _judged(rig, role, own, share) if each.state == "fault"), None)
 
 
-def _judged(rig: Rig, role: Role, own: Pace, share: float) -> tuple[Finding, Finding]:
+def _judged(
+    rig: Rig,
+    role: Role,
+    own: Pace,
+    share: float,
+) -> tuple[Finding, Finding]:
     """Find whether the rig's own size and rate are held, and setpoints kept."""
     found = detector_of(rig.role(role).perception)
     return fits(own, None if found is None else found[1], share), waits(own, share)

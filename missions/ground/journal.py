@@ -25,7 +25,11 @@ from path.messages import Role, Status
 from path.observations import MissReason, RangeSource
 
 
-def setup_record(rig: Rig, role: Role, config: MissionConfig) -> dict[str, Any]:
+def setup_record(
+    rig: Rig,
+    role: Role,
+    config: MissionConfig,
+) -> dict[str, Any]:
     """``/setup``: what a program was given, as far as its decisions and pictures of them depend on
     it.
     """
@@ -110,7 +114,12 @@ def told_of(record: Mapping[str, Any]) -> Told | Chosen:
         velocity = None if moves is None else (moves[0], moves[1])
         place = (north, east, down)
         return PlaceTold(
-            at_ns, place, record["error_m"], record["height_told"], velocity, record["holds_s"]
+            at_ns,
+            place,
+            record["error_m"],
+            record["height_told"],
+            velocity,
+            record["holds_s"],
         )
     if kind == "bearing":
         north, east = record["from_n_m"]
@@ -147,7 +156,10 @@ def taken_record(taken: Taken) -> dict[str, Any]:
 
 
 def frame_record(
-    view: View, now_ns: int, T_n_c: Pose | None = None, ground: Ground | None = None
+    view: View,
+    now_ns: int,
+    T_n_c: Pose | None = None,
+    ground: Ground | None = None,
 ) -> dict[str, Any]:
     """``/frame``: which frame a cycle is of, and how long after its capture the cycle began.
 
@@ -170,7 +182,9 @@ def ground_of(record: Mapping[str, Any]) -> Ground | None:
     if record.get("ground_down_m") is None:
         return None
     return Ground(
-        record["ground_down_m"], record["ground_sigma_m"], RangeSource(record["ground_by"])
+        record["ground_down_m"],
+        record["ground_sigma_m"],
+        RangeSource(record["ground_by"]),
     )
 
 

@@ -19,7 +19,11 @@ S8 is none of them: a gap between setpoints has a time of its own, and so has wh
 """
 
 
-def for_lateness(report: Report, outcome: Outcome, detail: str) -> tuple[Outcome, str]:
+def for_lateness(
+    report: Report,
+    outcome: Outcome,
+    detail: str,
+) -> tuple[Outcome, str]:
     """The outcome of a run: ``overloaded`` where lateness can be the cause, and what it would have
     been.
     """

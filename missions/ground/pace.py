@@ -62,7 +62,9 @@ BOX = Box(250.5, 180.25, 80.0, 60.0)
 LOOKED = (1.0, 0.0, 0.0, 0.0)
 CANDIDATE = Candidate(1, 1, 1, 1, 1, 1_000_000_000, BOX, None, (0.4, 0.1, 1.0), LOOKED, 0.004)
 MARKER = MarkerDetection(
-    0, np.array([[300.0, 220.0], [340.0, 220.0], [340.0, 260.0], [300.0, 260.0]]), np.eye(8)
+    0,
+    np.array([[300.0, 220.0], [340.0, 220.0], [340.0, 260.0], [300.0, 260.0]]),
+    np.eye(8),
 )
 FIX = MarkerFix(Pose(np.eye(3), np.array([0.4, 0.1, 1.0])), 1.6e-5 * np.eye(6), 40.0, (MARKER,))
 
@@ -101,7 +103,12 @@ class Pace:
         return sum(stage.mean_ms for stage in self.stages.values())
 
 
-def measure(rig: Rig, role: Role, *, own_only: bool = False) -> Iterator[Pace]:
+def measure(
+    rig: Rig,
+    role: Role,
+    *,
+    own_only: bool = False,
+) -> Iterator[Pace]:
     """Yield the rig's own size first, then the usual ones."""
     cv2.setNumThreads(1)  # as in flight
     own = rig.role(role).camera
@@ -112,7 +119,9 @@ def measure(rig: Rig, role: Role, *, own_only: bool = False) -> Iterator[Pace]:
         for size in sizes:
             bench = _Bench(rig, role, scaled(own, size))
             yield Pace(
-                size, dict(_stages(bench, Path(folder) / f"{size[0]}.mcap")), _search_time(bench)
+                size,
+                dict(_stages(bench, Path(folder) / f"{size[0]}.mcap")),
+                _search_time(bench),
             )
 
 
@@ -136,7 +145,12 @@ def scaled(camera: CameraModel, size: tuple[int, int]) -> CameraModel:
 class _Bench:
     """The mission's own parts of one role over a drawn picture, which is a new frame each time."""
 
-    def __init__(self, rig: Rig, role: Role, camera: CameraModel) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        role: Role,
+        camera: CameraModel,
+    ) -> None:
         self.rig = rig
         self.role = role
         self.camera = camera
@@ -161,7 +175,11 @@ def _stages(bench: _Bench, file: Path) -> Iterator[tuple[str, Stage]]:
     if "RealSense" in str(rig.role(role).perception.options.get("camera", "")):
         flat = replace(camera, distortion=(0.0,) * 5)
         registration = DepthRegistration(
-            flat, camera, Pose(np.eye(3), np.array([0.015, 0.0, 0.0])), 1e-3, (0.3, 6.0)
+            flat,
+            camera,
+            Pose(np.eye(3), np.array([0.015, 0.0, 0.0])),
+            1e-3,
+            (0.3, 6.0),
         )
         yield "frame", timed(lambda: (np.array(bench.color), registration.register(bench.depth_mm)))
     u, v = car.center
@@ -186,7 +204,11 @@ def _search_time(bench: _Bench) -> Stage:
     return timed(lambda: bench.view().markers(everywhere))
 
 
-def _pose_time(rig: Rig, camera: CameraModel, view: Callable[[], PixelView]) -> Stage:
+def _pose_time(
+    rig: Rig,
+    camera: CameraModel,
+    view: Callable[[], PixelView],
+) -> Stage:
     finder = MarkerView(rig.layout, camera, rig.receiver.mount, rig.method, mission_of(rig))
     marker = rig.layout.markers[0]
     R_v_c = marker.T_v_m.R @ np.diag((1.0, -1.0, -1.0))  # the marker faces the camera
@@ -207,7 +229,12 @@ def _pose_time(rig: Rig, camera: CameraModel, view: Callable[[], PixelView]) -> 
     return timed(look)
 
 
-def _log_time(role: Role, view: PixelView, car: Box, file: Path) -> Stage:
+def _log_time(
+    role: Role,
+    view: PixelView,
+    car: Box,
+    file: Path,
+) -> Stage:
     with McapLog(file, role.value) as log:
 
         def write() -> None:
@@ -268,7 +295,13 @@ def picture(rig: Rig, camera: CameraModel) -> tuple[Image, Box]:
     printed = cv2.aruco.generateImageMarker(dictionary, marker.id, 8 * side)
     border = 8 * (side // 4)
     framed = cv2.copyMakeBorder(
-        printed, border, border, border, border, cv2.BORDER_CONSTANT, value=(255,)
+        printed,
+        border,
+        border,
+        border,
+        border,
+        cv2.BORDER_CONSTANT,
+        value=(255,),
     )
     drawn = cv2.resize(framed, None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
     x = round(camera.cx - drawn.shape[1] / 2)

@@ -29,7 +29,12 @@ class ResumableLines(Generic[Line]):
     Raises PartError.
     """
 
-    def __init__(self, file: Path, kind: type[Line], head: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        file: Path,
+        kind: type[Line],
+        head: Mapping[str, Any],
+    ) -> None:
         self._path = file
         self._kind = kind
         self._head = dict(head)

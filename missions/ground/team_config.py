@@ -49,7 +49,11 @@ def relay_of(rig: Rig, drones: int) -> RelayConfig:
     return replace(config, drones=config.drones[:drones])
 
 
-def team_of(rig: Rig, drones: int | None = None, targets: int | None = None) -> TeamConfig:
+def team_of(
+    rig: Rig,
+    drones: int | None = None,
+    targets: int | None = None,
+) -> TeamConfig:
     """The rig's team: all of it, or with so many drones and targets. Raises RigError, and
     PartError.
     """
@@ -147,7 +151,11 @@ def _wire(config: TeamConfig, mission: MissionConfig) -> Found:
                 used.setdefault(taken, (where, drone.name))
 
 
-def _taken(part: str, option: str, value: object) -> tuple[str, str]:
+def _taken(
+    part: str,
+    option: str,
+    value: object,
+) -> tuple[str, str]:
     """The port that an option occupies: two listeners on one port collide whatever their addresses
     say.
     """
@@ -192,7 +200,9 @@ def _heights(config: TeamConfig, mission: MissionConfig) -> Found:
     fence_m = mission.guard.fence_height_m
     apart_m = mission.separation.minimum_m + mission.rendezvous.heights_within_m
     below_m = max(
-        mission.receiver_take_off_height_m, mission.take_off_height_m, mission.follow.height_m
+        mission.receiver_take_off_height_m,
+        mission.take_off_height_m,
+        mission.follow.height_m,
     )
     for key, height_m, under_m in (
         ("out_height_m", config.out_height_m, below_m),
@@ -210,7 +220,11 @@ def _heights(config: TeamConfig, mission: MissionConfig) -> Found:
             )
 
 
-def laid_out(config: TeamConfig, drones: int, targets: int) -> TeamConfig:
+def laid_out(
+    config: TeamConfig,
+    drones: int,
+    targets: int,
+) -> TeamConfig:
     """A field of so many, built like those of the rig: targets on a square grid, the homes of each
     south of it.
     """

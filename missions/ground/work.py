@@ -49,7 +49,10 @@ class Work:
         return self._jobs
 
     def map(
-        self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]
+        self,
+        what: str,
+        piece: Callable[[Item], Result],
+        items: Sequence[Item],
     ) -> list[Result]:
         """The results in the order of the items; ``what`` names the work on its bar.
 
@@ -62,7 +65,10 @@ class Work:
             return [results[index] for index in range(len(items))]
 
     def stream(
-        self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]
+        self,
+        what: str,
+        piece: Callable[[Item], Result],
+        items: Sequence[Item],
     ) -> Iterator[Result]:
         """The results as they come, for what is kept at once. Raises as ``map``."""
         with self._bars.bar(what, len(items)) as advance:
@@ -80,11 +86,16 @@ class Work:
             yield from _stepped(items, advance)
 
     def _on_all_cores(
-        self, piece: Callable[[Item], Result], items: Sequence[Item], advance: Callable[[], None]
+        self,
+        piece: Callable[[Item], Result],
+        items: Sequence[Item],
+        advance: Callable[[], None],
     ) -> Iterator[tuple[int, Result]]:
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
-                self._jobs, mp_context=get_context("spawn"), initializer=_quiet_worker
+                self._jobs,
+                mp_context=get_context("spawn"),
+                initializer=_quiet_worker,
             )
         running: dict[Future[Result], int] = {}
         waiting = iter(enumerate(items))

@@ -61,7 +61,10 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "recall": Experiment("handovers.recall", short_in_all=True),
     "dynamic": Experiment("flights.dynamic"),
     "beacon": Experiment(
-        "flights.beacon", "dynamic", options=("logs", "seconds"), short_in_all=True
+        "flights.beacon",
+        "dynamic",
+        options=("logs", "seconds"),
+        short_in_all=True,
     ),
     "ambiguity": Experiment("rivals", options=("xfeat", "method"), without=XFEAT),
     "link": Experiment("cost.link"),

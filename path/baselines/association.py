@@ -49,7 +49,11 @@ class Votes:
     lines: tuple[np.ndarray[tuple[int, int], np.dtype[np.float32]], ...]
 
 
-def choose(inliers: Sequence[int], min_inliers: int, min_lead: int) -> int | None:
+def choose(
+    inliers: Sequence[int],
+    min_inliers: int,
+    min_lead: int,
+) -> int | None:
     """Index of the box with the most verified matches; None when they are too few, or nearly as
     many elsewhere.
     """
@@ -166,6 +170,8 @@ def _joined(
 
 
 def _lines(
-    own: Keypoints, other: Keypoints, pairs: Pairs
+    own: Keypoints,
+    other: Keypoints,
+    pairs: Pairs,
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
     return np.hstack((own.points_px[pairs[:, 0]], other.points_px[pairs[:, 1]]))

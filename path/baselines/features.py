@@ -44,7 +44,9 @@ class Keypoints:
 
 
 NOTHING = Keypoints(
-    np.zeros((0, 2), np.float32), np.zeros((0, 0), np.uint8), np.zeros(0, np.float32)
+    np.zeros((0, 2), np.float32),
+    np.zeros((0, 0), np.uint8),
+    np.zeros(0, np.float32),
 )
 
 
@@ -80,7 +82,10 @@ class FeatureSearch:
 
 
 def look(
-    features: Features, image: Image, boxes: Sequence[Box], settings: FeatureSearch
+    features: Features,
+    image: Image,
+    boxes: Sequence[Box],
+    settings: FeatureSearch,
 ) -> list[Keypoints]:
     """The features in each box and its surroundings, in pixels of the image. A box outside the
     image has none.
@@ -89,7 +94,10 @@ def look(
 
 
 def look_each(
-    features: Features, image: Image, boxes: Sequence[Box], settings: Sequence[FeatureSearch]
+    features: Features,
+    image: Image,
+    boxes: Sequence[Box],
+    settings: Sequence[FeatureSearch],
 ) -> dict[FeatureSearch, list[Keypoints]]:
     """The same in several ways. A network sees the windows of one zoom once, wide enough for all of
     that zoom.
@@ -108,7 +116,10 @@ def look_each(
             windows = [area for area in areas[group[0]] if area is not None]
             if features.side_px is not None:
                 windows = cover(
-                    windows, min(features.side_px / zoom, float(max(width, height))), width, height
+                    windows,
+                    min(features.side_px / zoom, float(max(width, height))),
+                    width,
+                    height,
                 )
             seen = [_in_window(features, image, window, zoom) for window in windows]
             for each in group:
@@ -117,7 +128,9 @@ def look_each(
 
 
 def _of_area(
-    area: Region | None, windows: Sequence[Region], seen: Sequence[Keypoints]
+    area: Region | None,
+    windows: Sequence[Region],
+    seen: Sequence[Keypoints],
 ) -> Keypoints:
     home = None if area is None else _home(area, windows)
     if area is not None and home is not None:
@@ -132,7 +145,12 @@ def inside(keypoints: Keypoints, area: Region) -> Keypoints:
     return keypoints.pick((u >= area.x0) & (u < area.x1) & (v >= area.y0) & (v < area.y1))
 
 
-def cover(areas: Sequence[Region], side: float, width: int, height: int) -> list[Region]:
+def cover(
+    areas: Sequence[Region],
+    side: float,
+    width: int,
+    height: int,
+) -> list[Region]:
     """Squares inside a ``width`` x ``height`` image so that each area is wholly in one of them.
 
     Areas that fit into one square of ``side`` share it, from left to right; one that is larger gets
@@ -150,7 +168,12 @@ def cover(areas: Sequence[Region], side: float, width: int, height: int) -> list
     return [_square(group, side, width, height) for group in groups]
 
 
-def _square(area: Region, side: float, width: int, height: int) -> Region:
+def _square(
+    area: Region,
+    side: float,
+    width: int,
+    height: int,
+) -> Region:
     """A square around the middle of an area, moved into the image."""
     side = max(side, area.x1 - area.x0, area.y1 - area.y0)
     x0 = min(max(0.5 * (area.x0 + area.x1 - side), 0.0), max(0.0, width - side))
@@ -180,7 +203,12 @@ def _grown(box: Box, context: float) -> Region:
     return Region(box.x - reach, box.y - reach, box.x + box.w + reach, box.y + box.h + reach)
 
 
-def _in_window(features: Features, image: Image, window: Region, zoom: float) -> Keypoints:
+def _in_window(
+    features: Features,
+    image: Image,
+    window: Region,
+    zoom: float,
+) -> Keypoints:
     """Features of an enlarged window, in pixels of the image."""
     u0 = int(window.x0)
     v0 = int(window.y0)

@@ -59,7 +59,11 @@ class Nearest:
     second: Singles
 
 
-def nearest(a: Keypoints, b: Keypoints, distance: Distance) -> Nearest:
+def nearest(
+    a: Keypoints,
+    b: Keypoints,
+    distance: Distance,
+) -> Nearest:
     """The part of matching that does not depend on thresholds."""
     if len(a) == 0 or len(b) == 0:
         none = np.zeros(0, np.int64)
@@ -77,7 +81,11 @@ def nearest(a: Keypoints, b: Keypoints, distance: Distance) -> Nearest:
     return Nearest(rows, best, mutual, first, apart.min(axis=1))
 
 
-def accepted(found: Nearest, distance: Distance, config: MatchConfig) -> Pairs:
+def accepted(
+    found: Nearest,
+    distance: Distance,
+    config: MatchConfig,
+) -> Pairs:
     """Pairs (m, 2) of indices into ``a`` and ``b``: each the other's best match, and much better
     than the second best.
 
@@ -101,7 +109,13 @@ def hamming(a: Image, b: Image) -> Depths:
     return total
 
 
-def verify(a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: int = 0) -> Flags:
+def verify(
+    a: Keypoints,
+    b: Keypoints,
+    pairs: Pairs,
+    config: MatchConfig,
+    seed: int = 0,
+) -> Flags:
     """Return which pairs (m,) are inliers of the model that most of them agree with; none when
     there are too few.
     """
@@ -113,7 +127,11 @@ def verify(a: Keypoints, b: Keypoints, pairs: Pairs, config: MatchConfig, seed: 
     return nothing if mask is None or len(mask) != len(pairs) else mask.ravel() != 0
 
 
-def _inliers(a: Singles, b: Singles, config: MatchConfig) -> NDArray[Any] | None:
+def _inliers(
+    a: Singles,
+    b: Singles,
+    config: MatchConfig,
+) -> NDArray[Any] | None:
     reach = config.reach_px
     if config.model == "similarity":
         return cv2.estimateAffinePartial2D(a, b, None, cv2.RANSAC, reach, ITERATIONS, CONFIDENCE)[1]

@@ -51,9 +51,13 @@ class Orb:
         found, descriptors = self._orb.detectAndCompute(grey, None)
         if not found:
             return Keypoints(
-                np.zeros((0, 2), np.float32), np.zeros((0, 32), np.uint8), np.zeros(0, np.float32)
+                np.zeros((0, 2), np.float32),
+                np.zeros((0, 32), np.uint8),
+                np.zeros(0, np.float32),
             )
         points = np.array([point.pt for point in found], np.float32)
         return Keypoints(
-            points, descriptors, np.array([point.response for point in found], np.float32)
+            points,
+            descriptors,
+            np.array([point.response for point in found], np.float32),
         )

@@ -78,7 +78,9 @@ def _groups(weights: Array) -> list[tuple[list[int], list[int]]]:
 
 
 def _connected(
-    weights: Array, rows: Sequence[int], floor: float
+    weights: Array,
+    rows: Sequence[int],
+    floor: float,
 ) -> list[tuple[list[int], list[int]]]:
     open_rows = set(rows)
     groups = list[tuple[list[int], list[int]]]()
@@ -131,7 +133,9 @@ def _within(weights: Array) -> tuple[list[int | None], Array]:
 
 
 def _marginals(
-    rows: Sequence[Sequence[float]], totals: Sequence[Sequence[float]], many: int
+    rows: Sequence[Sequence[float]],
+    totals: Sequence[Sequence[float]],
+    many: int,
 ) -> Array:
     subsets = 1 << many
     everything = sum(totals[-1])

@@ -52,7 +52,11 @@ class Bundle:
     curl: Array
 
 
-def curled(points_o: Array, size_m: tuple[float, float], curl: Array) -> Array:
+def curled(
+    points_o: Array,
+    size_m: tuple[float, float],
+    curl: Array,
+) -> Array:
     """Points (n, 3) of a flat print of this width and height, on the surface of the curled one."""
     h = 0.5 * max(size_m)
     return points_o + np.column_stack(
@@ -146,7 +150,11 @@ def _shapes(points_o: Array, size_m: tuple[float, float]) -> Array:
     return np.column_stack([x * x, x * y, y * y])
 
 
-def _sums(views: Sequence[BundleView], size_m: tuple[float, float], state: _State) -> _Sums:
+def _sums(
+    views: Sequence[BundleView],
+    size_m: tuple[float, float],
+    state: _State,
+) -> _Sums:
     fx, fy, cx, cy, *lens = state.camera
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     h = 0.5 * max(size_m)
@@ -177,12 +185,20 @@ def _sums(views: Sequence[BundleView], size_m: tuple[float, float], state: _Stat
     return _Sums(common, gradient, own, coupled, pulls, cost)
 
 
-def _cost(state: _State, sums: _Sums, noise: float) -> float:
+def _cost(
+    state: _State,
+    sums: _Sums,
+    noise: float,
+) -> float:
     """With what is expected of the curl; ``noise``: variance of the corners, px^2."""
     return sums.cost + noise * float((state.curl**2).sum()) / CURL_SIGMA**2
 
 
-def _reduced(sums: _Sums, noise: float, damping: float) -> tuple[Array, Array]:
+def _reduced(
+    sums: _Sums,
+    noise: float,
+    damping: float,
+) -> tuple[Array, Array]:
     """Normal equations of the common unknowns alone, the poses eliminated."""
     matrix = sums.common.copy()
     gradient = sums.gradient.copy()
@@ -196,7 +212,13 @@ def _reduced(sums: _Sums, noise: float, damping: float) -> tuple[Array, Array]:
     return matrix, gradient
 
 
-def _moved(state: _State, sums: _Sums, noise: float, known: Flags, damping: float) -> _State:
+def _moved(
+    state: _State,
+    sums: _Sums,
+    noise: float,
+    known: Flags,
+    damping: float,
+) -> _State:
     matrix, gradient = _reduced(sums, noise, damping)
     gradient[CAMERA:] -= noise / CURL_SIGMA**2 * state.curl
     matrix = matrix + damping * np.diag(np.diag(sums.common))
@@ -205,7 +227,11 @@ def _moved(state: _State, sums: _Sums, noise: float, known: Flags, damping: floa
     poses = [
         pose + np.linalg.solve(own + damping * np.diag(np.diag(own)), pull - coupled.T @ step)
         for pose, own, coupled, pull in zip(
-            state.poses, sums.own, sums.coupled, sums.pulls, strict=True
+            state.poses,
+            sums.own,
+            sums.coupled,
+            sums.pulls,
+            strict=True,
         )
     ]
     return _State(state.camera + step[:CAMERA], poses, state.curl + step[CAMERA:])

@@ -47,7 +47,11 @@ class SeenEdge:
     normal: Array
 
 
-def see_edge(grey: Image, ends_px: Array, thinning: Thinning | None = None) -> SeenEdge | None:
+def see_edge(
+    grey: Image,
+    ends_px: Array,
+    thinning: Thinning | None = None,
+) -> SeenEdge | None:
     """The edge between two places (2, 2) in an image; None where it is not seen well.
 
     ``thinning``: how the camera leaves out pixels; the ends are then in its evenly spaced image.
@@ -85,7 +89,11 @@ def see_edge(grey: Image, ends_px: Array, thinning: Thinning | None = None) -> S
     return SeenEdge(across, along, levels, black, white, pixels, normal)
 
 
-def edges_between(grey: Image, view: BoardView, board: Board) -> Iterator[SeenEdge]:
+def edges_between(
+    grey: Image,
+    view: BoardView,
+    board: Board,
+) -> Iterator[SeenEdge]:
     """The edges of a board's squares between neighbouring corners that were found."""
     columns = board.columns - 1
     places = dict(zip(view.ids.tolist(), view.corners_px, strict=True))

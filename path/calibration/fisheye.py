@@ -60,7 +60,12 @@ def fit_fisheye(solution: Intrinsics, board: Board) -> FisheyeFit | None:
     flags = _flag("USE_INTRINSIC_GUESS") | _flag("RECOMPUTE_EXTRINSIC") | _flag("FIX_SKEW")
     try:
         _, matrix, lens, turns, places = cv2.fisheye.calibrate(
-            objects, corners, (width, height), K, np.zeros((4, 1)), flags=flags
+            objects,
+            corners,
+            (width, height),
+            K,
+            np.zeros((4, 1)),
+            flags=flags,
         )
         errors = [
             cv2.fisheye.projectPoints(points, turn, place, matrix, lens)[0].reshape(-1, 2)

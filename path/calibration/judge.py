@@ -108,7 +108,9 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> Whole:
 
 
 def judge_views(
-    views: Sequence[BoardView], size: tuple[int, int], limits: SetLimits
+    views: Sequence[BoardView],
+    size: tuple[int, int],
+    limits: SetLimits,
 ) -> list[SetFault]:
     """Return the faults known before a camera is solved: the number of views, and their places in
     the image.
@@ -223,7 +225,11 @@ def useless(solution: Intrinsics, limits: SetLimits) -> bool:
     return solution.camera is None or not known or solution.rms_px > limits.max_rms_px
 
 
-def grade_of(solution: Intrinsics, faults: Sequence[SetFault], limits: SetLimits) -> Grade:
+def grade_of(
+    solution: Intrinsics,
+    faults: Sequence[SetFault],
+    limits: SetLimits,
+) -> Grade:
     """Return the grade of a calibration: good without any fault, fair or weak by what is known of
     fx and fy.
     """
@@ -254,7 +260,9 @@ def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
         )
     spans = np.ptp(tilts_deg(solution), axis=0)
     for axis, span in zip(
-        ("nodded (top away or towards)", "turned (left side away or towards)"), spans, strict=True
+        ("nodded (top away or towards)", "turned (left side away or towards)"),
+        spans,
+        strict=True,
     ):
         if span < limits.min_tilt_span_deg:
             faults.append(
@@ -268,7 +276,11 @@ def _judge_poses(solution: Intrinsics, limits: SetLimits) -> list[SetFault]:
     return faults
 
 
-def _histogram(views: Sequence[BoardView], size: tuple[int, int], grid: tuple[int, int]) -> Whole:
+def _histogram(
+    views: Sequence[BoardView],
+    size: tuple[int, int],
+    grid: tuple[int, int],
+) -> Whole:
     cells = np.zeros((grid[1], grid[0]), np.int64)
     if views:
         corners = np.concatenate([view.corners_px for view in views])

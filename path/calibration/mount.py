@@ -145,7 +145,10 @@ Residual = Callable[[Pose, Pose, Pose, float], Array]
 
 
 def _board_term(
-    view: BoardView, camera: CameraModel, board: Board, sigma_px: float
+    view: BoardView,
+    camera: CameraModel,
+    board: Board,
+    sigma_px: float,
 ) -> Callable[[Pose], Array]:
     points = board.corners_o[view.ids]
 
@@ -155,7 +158,11 @@ def _board_term(
     return residual
 
 
-def _marker_terms(pair: MountPair, camera: CameraModel, layout: MarkerLayout) -> Residual:
+def _marker_terms(
+    pair: MountPair,
+    camera: CameraModel,
+    layout: MarkerLayout,
+) -> Residual:
     """Whitened residuals of all markers of a pair."""
     seen: list[tuple[Array, Array, Array]] = []
     for found in pair.markers_3:
@@ -163,7 +170,12 @@ def _marker_terms(pair: MountPair, camera: CameraModel, layout: MarkerLayout) ->
         if printed is not None:
             seen.append((printed.corners_v, found.corners_px, _root(found.covariance_px2)))
 
-    def residual(T_v_c1: Pose, T_c1_o: Pose, T_c3_o: Pose, scale: float) -> Array:
+    def residual(
+        T_v_c1: Pose,
+        T_c1_o: Pose,
+        T_c3_o: Pose,
+        scale: float,
+    ) -> Array:
         T_c3_v = T_c3_o @ (T_v_c1 @ T_c1_o).inverse()
         left = [
             _solved(root, (corners - camera.project(T_c3_v.apply(scale * points))).ravel())
@@ -193,7 +205,11 @@ def _first(
                 continue
             square = printed.T_v_m.inverse().apply(printed.corners_v)
             _, turns, places, _ = cv2.solvePnPGeneric(
-                square, found.corners_px, matrix, lens, flags=cv2.SOLVEPNP_IPPE_SQUARE
+                square,
+                found.corners_px,
+                matrix,
+                lens,
+                flags=cv2.SOLVEPNP_IPPE_SQUARE,
             )
             for turn, place in zip(turns, places, strict=True):
                 T_c3_m = Pose(
@@ -255,7 +271,11 @@ def _reduced(
     return reduced, own
 
 
-def _move(state: _MountState, step: Array, own: Sequence[tuple[Array, Array, Array]]) -> None:
+def _move(
+    state: _MountState,
+    step: Array,
+    own: Sequence[tuple[Array, Array, Array]],
+) -> None:
     state.T_v_c1 = stepped(state.T_v_c1, step[:6])
     state.scale += float(step[6])
     for number, (slope, free, _) in enumerate(own):

@@ -77,12 +77,23 @@ def refine_saddles(
     for _ in range(ITERATIONS):
         state = _stepped(state, levels, weights, columns, rows)
     return _judged(
-        state, levels, weights, columns, rows, corners_px, whole & (clear_px >= REACH_PX[0])
+        state,
+        levels,
+        weights,
+        columns,
+        rows,
+        corners_px,
+        whole & (clear_px >= REACH_PX[0]),
     )
 
 
 def _start(
-    levels: Array, weights: Array, corners: Array, edges: Array, columns: Array, rows: Array
+    levels: Array,
+    weights: Array,
+    corners: Array,
+    edges: Array,
+    columns: Array,
+    rows: Array,
 ) -> Array:
     """Unknowns (n, 8): u, v, angle of the normal of each edge, blur across each, mean, contrast."""
     normals = np.arctan2(edges[:, :, 0], -edges[:, :, 1])
@@ -100,7 +111,11 @@ def _start(
     return state
 
 
-def _model(state: Array, columns: Array, rows: Array) -> tuple[Array, Array]:
+def _model(
+    state: Array,
+    columns: Array,
+    rows: Array,
+) -> tuple[Array, Array]:
     """The image (n, p), and its derivatives by the unknowns (n, p, 8)."""
     x = columns - state[:, :1]
     y = rows - state[:, 1:2]
@@ -141,7 +156,11 @@ def _step(s: Array) -> Array:
 
 
 def _normal_equations(
-    state: Array, levels: Array, weights: Array, columns: Array, rows: Array
+    state: Array,
+    levels: Array,
+    weights: Array,
+    columns: Array,
+    rows: Array,
 ) -> tuple[Array, Array, Array]:
     """Information (n, 8, 8), gradient (n, 8), residuals (n, p)."""
     image, jacobian = _model(state, columns, rows)
@@ -154,7 +173,13 @@ def _normal_equations(
     )
 
 
-def _stepped(state: Array, levels: Array, weights: Array, columns: Array, rows: Array) -> Array:
+def _stepped(
+    state: Array,
+    levels: Array,
+    weights: Array,
+    columns: Array,
+    rows: Array,
+) -> Array:
     """One step of Gauss and Newton, slightly damped, with limits on how far it goes."""
     information, gradient, _ = _normal_equations(state, levels, weights, columns, rows)
     diagonal = np.einsum("nii->ni", information)

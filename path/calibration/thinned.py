@@ -27,7 +27,9 @@ FEWEST_PIXELS = 500
 
 
 def seen_evenly(
-    images: Sequence[Image], views: Sequence[BoardView], board: Board
+    images: Sequence[Image],
+    views: Sequence[BoardView],
+    board: Board,
 ) -> tuple[list[BoardView], Thinning] | None:
     """The views with their corners in the evenly spaced image, and how the camera leaves out
     pixels; None: it does not.
@@ -68,7 +70,11 @@ def measure_thinning(edges: Sequence[SeenEdge]) -> Thinning | None:
     return None
 
 
-def pixel_offsets(edges: Sequence[SeenEdge], edge: Array, period: int) -> Array | None:
+def pixel_offsets(
+    edges: Sequence[SeenEdge],
+    edge: Array,
+    period: int,
+) -> Array | None:
     """By how much pixels lie off their places, by column and row modulo ``period``: (2, period) px,
     of mean 0.
 
@@ -91,7 +97,9 @@ def pixel_offsets(edges: Sequence[SeenEdge], edge: Array, period: int) -> Array 
         pixels = one.pixels[near]
         steep = np.interp(across, PLACES[there], slope)
         left = (one.levels[near] - one.black) / (one.white - one.black) - np.interp(
-            across, PLACES[there], edge[there]
+            across,
+            PLACES[there],
+            edge[there],
         )
         design = np.zeros((len(across), 2 * period))
         for axis in (0, 1):

@@ -181,7 +181,13 @@ def as_brown_conrady(lens: Lens) -> StandIn:
     if straight or lens.kind == "brown_conrady":
         k1, k2, p1, p2, k3 = lens.coefficients[:5]
         own = CameraModel(
-            lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, (k1, k2, p1, p2, k3)
+            lens.width,
+            lens.height,
+            lens.fx,
+            lens.fy,
+            lens.cx,
+            lens.cy,
+            (k1, k2, p1, p2, k3),
         )
         return StandIn(own, 0.0)
     pixels = _spread(lens.width, lens.height)
@@ -203,7 +209,11 @@ def as_brown_conrady(lens: Lens) -> StandIn:
     )
 
 
-def _fitted(lens: Lens, rays: Array, pixels: Array) -> Array:
+def _fitted(
+    lens: Lens,
+    rays: Array,
+    pixels: Array,
+) -> Array:
     """Return fx fy cx cy k1 k2 p1 p2 k3 of the camera that is least off over the image: by Gauss
     and Newton.
     """

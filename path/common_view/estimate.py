@@ -100,7 +100,10 @@ class Unknown:
 
 
 def common_view(
-    first: Keyframe, second: Keyframe, prior: Prior, settings: Settings | None = None
+    first: Keyframe,
+    second: Keyframe,
+    prior: Prior,
+    settings: Settings | None = None,
 ) -> CommonView | Unknown:
     """Return where the second keyframe's camera is in the first's levelled frame.
 
@@ -117,7 +120,11 @@ def common_view(
     range_m = float(np.median(known_depth))
     tilt = first.gravity_sigma_rad**2 + second.gravity_sigma_rad**2
     known = Known(
-        prior.yaw_rad, prior.t_m, prior.yaw_sigma_rad**-2, prior.t_sigma_m**-2, 1.0 / tilt
+        prior.yaw_rad,
+        prior.t_m,
+        prior.yaw_sigma_rad**-2,
+        prior.t_sigma_m**-2,
+        1.0 / tilt,
     )
     guesses = candidates(matches, prior, range_m)
     places = aligned(first, second, matches, known, guesses)
@@ -127,7 +134,10 @@ def common_view(
 
 
 def judged(
-    places: Sequence[Place], known: Known, range_m: float, asked: Settings
+    places: Sequence[Place],
+    known: Known,
+    range_m: float,
+    asked: Settings,
 ) -> CommonView | Unknown:
     """Return the likeliest place, or why it is not known. ``places``: at least one.
 
@@ -158,7 +168,11 @@ def judged(
     return best
 
 
-def too_wide(covariance: Array, range_m: float, asked: Settings) -> bool:
+def too_wide(
+    covariance: Array,
+    range_m: float,
+    asked: Settings,
+) -> bool:
     """Return whether a pose with this covariance (4, 4) is of no use."""
     widest = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
     yaw_sigma = math.sqrt(float(covariance[3, 3]))
@@ -173,7 +187,11 @@ def stated(place: Place, range_m: float) -> Array:
     return covariance
 
 
-def log_mass(place: Place, known: Known, unsure: float) -> float:
+def log_mass(
+    place: Place,
+    known: Known,
+    unsure: float,
+) -> float:
     """Return the logarithm of a place's probability but for a constant: prior and likelihood where
     it is highest, times the room around it. ``unsure``: log-likelihood ratios are divided by it.
     """

@@ -56,7 +56,11 @@ def corners(grey: Image, most: int) -> Array:
     return places[strongest[:most]]
 
 
-def surfaces(depth: Singles, lens: Array, pixels: Array) -> tuple[Array, Array]:
+def surfaces(
+    depth: Singles,
+    lens: Array,
+    pixels: Array,
+) -> tuple[Array, Array]:
     """Return corners (n, 3) on their surfaces, and normals (n, 3); z is 0 where there is no surface
     or it is seen along itself.
     """
@@ -82,7 +86,12 @@ def upright(normals: Array, R_l_c: Array) -> tuple[Array, Array]:
 
 
 def describe(
-    grey: Image, lens: Array, R_l_c: Array, points: Array, normals: Array, patch_m: float
+    grey: Image,
+    lens: Array,
+    R_l_c: Array,
+    points: Array,
+    normals: Array,
+    patch_m: float,
 ) -> Bits:
     """Return 32 bytes for each of n points (n, 3) on surfaces, z > 0, in the camera's frame."""
     n = len(points)

@@ -33,7 +33,11 @@ def part_count(corners: int, size: Size) -> int:
     return -(-(corners * CORNER_BYTES + 2 * rows * columns) // PART_BYTES)
 
 
-def parts_of(keyframe: Keyframe, camera: CameraModel, capture_ns: int) -> list[KeyframePart]:
+def parts_of(
+    keyframe: Keyframe,
+    camera: CameraModel,
+    capture_ns: int,
+) -> list[KeyframePart]:
     """Return a keyframe in parts.
 
     Args:

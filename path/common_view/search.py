@@ -132,7 +132,11 @@ def loose_matches(first: Keyframe, second: Keyframe) -> Matches:
     )
 
 
-def candidates(matches: Matches, prior: Prior, range_m: float) -> list[tuple[Array, Array]]:
+def candidates(
+    matches: Matches,
+    prior: Prior,
+    range_m: float,
+) -> list[tuple[Array, Array]]:
     """Return rotations and translations for which the most matches vote, inside of the prior."""
     reach = SIGMAS * prior.yaw_sigma_rad
     many = 2 * math.ceil(reach / YAW_STEP) + 1
@@ -195,7 +199,13 @@ def _same(one: Place, other: Place) -> bool:
 
 
 def _aligned(
-    one: View, two: View, matches: Matches, known: Known, R0: Array, t0: Array, bounds: Array
+    one: View,
+    two: View,
+    matches: Matches,
+    known: Known,
+    R0: Array,
+    t0: Array,
+    bounds: Array,
 ) -> Place | None:
     """Return the place that a guess leads to; None where nothing holds it."""
     R = R0.copy()

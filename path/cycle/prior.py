@@ -129,6 +129,11 @@ def predict(
     half_v = max(half_v + 0.5 * box_size_at_1m_px[1] / z_m, config.min_search_px)
     reach_m = TARGET_REACH_M + config.search_sigmas * math.hypot(range_sigma_m, point_sigma_m)
     region = Region(
-        u - half_u, v - half_v, u + half_u, v + half_v, max(0.0, z_m - reach_m), z_m + reach_m
+        u - half_u,
+        v - half_v,
+        u + half_u,
+        v + half_v,
+        max(0.0, z_m - reach_m),
+        z_m + reach_m,
     )
     return Prior((u, v), z_m, (uu, uv, vv), region, target_sequence, T_c2_v, pose_sigma_m, point_v)

@@ -115,7 +115,12 @@ class ReceiverCycle:
             values = newest.values
         x, y, z = values[3:6]
         norm = math.hypot(x, y, z)
-        return x / norm, y / norm, z / norm
+        # Between two directions it is a little shorter than 1.
+        return (
+            x / norm,
+            y / norm,
+            z / norm,
+        )
 
     def prior(
         self,
@@ -315,7 +320,12 @@ class ReceiverCycle:
         now_ns: int,
     ) -> MissReason | None:
         """Return why D1's message is not used; None when it is."""
-        if (target.handoff_id, target.epoch, target.target_id) != self._identity:
+        identity = (
+            target.handoff_id,
+            target.epoch,
+            target.target_id,
+        )
+        if identity != self._identity:
             return MissReason.STALE
 
         total = sum(target.point_v_m) + target.sigma_m

@@ -152,7 +152,12 @@ class SenderCycle:
         assert depth is not None
         point_v_m = point.point_v_m
         oversize = self._sizes.own(stamp_ns, box, depth, point_v_m, gravity_v)
-        edges = (box.x, box.y, box.w, box.h)
+        edges = (
+            box.x,
+            box.y,
+            box.w,
+            box.h,
+        )
         place = (*point_v_m, point.z_m, depth.sigma_m)
         # in the order in which ``_judge`` takes them apart
         values = (*edges, *place, *gravity_v, oversize)

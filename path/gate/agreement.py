@@ -51,12 +51,18 @@ class TwoViews:
 
     def __post_init__(self) -> None:
         object.__setattr__(
-            self, "numbers", kernels.numbers_of(self.camera1, self.camera2, self.T_v_c1)
+            self,
+            "numbers",
+            kernels.numbers_of(self.camera1, self.camera2, self.T_v_c1),
         )
 
 
 def map_box(
-    views: TwoViews, T_v_c2: Rigid, box2: Box, depths_m: tuple[float, float], mapping: BoxMapping
+    views: TwoViews,
+    T_v_c2: Rigid,
+    box2: Box,
+    depths_m: tuple[float, float],
+    mapping: BoxMapping,
 ) -> Box | None:
     """D2's box in D1's image (eqs. bbox_rescaling, transformed_candidate).
 
@@ -74,7 +80,11 @@ def map_box(
     """
     corner = 0.0 if mapping == "center" else 1.0
     u1, v1, w1, h1 = kernels.mapped(
-        views.numbers, T_v_c2, (box2.x, box2.y, box2.w, box2.h), *depths_m, corner
+        views.numbers,
+        T_v_c2,
+        (box2.x, box2.y, box2.w, box2.h),
+        *depths_m,
+        corner,
     )
     return Box(u1, v1, w1, h1) if math.isfinite(u1 + v1) else None
 
@@ -137,7 +147,12 @@ class Comparer:
         self._body = config.evidence.span_m, config.evidence.height_m
         self._corner = 0.0 if config.box_mapping == "center" else 1.0
 
-    def compare(self, own: Values, candidate: Candidate, box2: Box) -> Comparison:
+    def compare(
+        self,
+        own: Values,
+        candidate: Candidate,
+        box2: Box,
+    ) -> Comparison:
         """Return the outcome of ``box2``, the candidate's.
 
         ``own``: D1's sample at D2's capture instant.

@@ -55,7 +55,11 @@ def against_unseen(target_m: Offset, config: EvidenceConfig) -> float:
     return log_likelihood(target_m, config) + math.log10(density) - math.log10(config.unseen)
 
 
-def against_rival(target_m: Offset, rival_m: Offset, config: EvidenceConfig) -> float:
+def against_rival(
+    target_m: Offset,
+    rival_m: Offset,
+    config: EvidenceConfig,
+) -> float:
     """log10 of the likelihood ratio against an object that D1 sees beside the target."""
     return log_likelihood(target_m, config) - log_likelihood(rival_m, config)
 

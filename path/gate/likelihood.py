@@ -115,7 +115,12 @@ class _Run:
     def span_s(self) -> float:
         return (self.newest_ns - self.begin_ns) * 1e-9
 
-    def note(self, offsets: Offsets, capture_ns: int, same_m: float) -> None:
+    def note(
+        self,
+        offsets: Offsets,
+        capture_ns: int,
+        same_m: float,
+    ) -> None:
         """Take in the offsets of a pair.
 
         Objects beside the target are those of the pairs before, by where they are.
@@ -154,7 +159,10 @@ class LikelihoodGate:
         own = config.evidence
         self._config = own
         limits = replace(
-            config, hold_frames=own.min_pairs, hold_s=own.min_s, max_gap_s=own.max_gap_s
+            config,
+            hold_frames=own.min_pairs,
+            hold_s=own.min_s,
+            max_gap_s=own.max_gap_s,
         )
         self._window = AgreementWindow(limits)
         self._run = _Run()
@@ -181,7 +189,12 @@ class LikelihoodGate:
         held = sure_ns is not None and (self._run.newest_ns - sure_ns) * 1e-9 >= HELD_S
         return self._agreed and held and self._window.complete
 
-    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
+    def agree(
+        self,
+        pair: FramePair,
+        iou: float,
+        tau: float,
+    ) -> MissReason | None:
         if not iou >= tau:  # no pair that agrees: whoever says so is wrong, and gains nothing
             return self.disagree(pair.peer_sequence, pair.capture_ns, -1.0)
         if pair.oversize > self._config.size_sigmas:
@@ -200,7 +213,10 @@ class LikelihoodGate:
         return None
 
     def disagree(
-        self, peer_sequence: int, capture_ns: int, by: float | None = None
+        self,
+        peer_sequence: int,
+        capture_ns: int,
+        by: float | None = None,
     ) -> MissReason | None:
         refusal = self._window.skip(peer_sequence, capture_ns)
         if refusal is None and by is not None and self._window.count:
@@ -270,16 +286,28 @@ class LikelihoodGate:
         return 1.0 + run.span_s / (2.0 * time_s)
 
 
-def _mean_variance(offsets: Scatter, independent: float, config: EvidenceConfig) -> float:
+def _mean_variance(
+    offsets: Scatter,
+    independent: float,
+    config: EvidenceConfig,
+) -> float:
     return config.offset_sigma_m**2 + offsets.variance / independent
 
 
-def _of_mean(offsets: Scatter, independent: float, config: EvidenceConfig) -> float:
+def _of_mean(
+    offsets: Scatter,
+    independent: float,
+    config: EvidenceConfig,
+) -> float:
     half = 0.5 * offsets.mean2 / _mean_variance(offsets, independent, config)
     return -config.offset_known * math.log1p(half / config.offset_known)
 
 
-def _likelihood(offsets: Scatter, independent: float, config: EvidenceConfig) -> float:
+def _likelihood(
+    offsets: Scatter,
+    independent: float,
+    config: EvidenceConfig,
+) -> float:
     """Return l_j."""
     least = LEAST_SCATTER * config.offset_sigma_m**2
     scatter = math.log(offsets.variance + least)

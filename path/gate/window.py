@@ -115,7 +115,12 @@ class Gate(Protocol):
         """None when pairs are all that counts."""
         ...
 
-    def agree(self, pair: FramePair, iou: float, tau: float) -> MissReason | None:
+    def agree(
+        self,
+        pair: FramePair,
+        iou: float,
+        tau: float,
+    ) -> MissReason | None:
         """An agreeing pair, ``iou >= tau``. Returns why it does not count, None when it does.
 
         DUPLICATE and STALE say that it is no new evidence. AMBIGUOUS_TARGET says that a box is of
@@ -124,7 +129,10 @@ class Gate(Protocol):
         ...
 
     def disagree(
-        self, peer_sequence: int, capture_ns: int, by: float | None = None
+        self,
+        peer_sequence: int,
+        capture_ns: int,
+        by: float | None = None,
     ) -> MissReason | None:
         """Take in a D2 frame that does not agree.
 
@@ -201,7 +209,12 @@ class AgreementWindow:
     def evidence(self) -> Evidence | None:
         return None
 
-    def agree(self, pair: FramePair, iou: float = 1.0, tau: float = 0.0) -> MissReason | None:
+    def agree(
+        self,
+        pair: FramePair,
+        iou: float = 1.0,
+        tau: float = 0.0,
+    ) -> MissReason | None:
         """Count an agreeing pair; by how much it agrees does not matter here."""
         del iou, tau
         refusal = self.refusal(pair.peer_sequence)
@@ -224,7 +237,10 @@ class AgreementWindow:
         return None
 
     def disagree(
-        self, peer_sequence: int, capture_ns: int, by: float | None = None
+        self,
+        peer_sequence: int,
+        capture_ns: int,
+        by: float | None = None,
     ) -> MissReason | None:
         """Restarts the run, by however much the pair disagrees."""
         del by

@@ -56,7 +56,11 @@ def rotate(q: Quat, point: Vec3) -> Vec3:
     return x + w * u + (b * s - c * v), y + w * v + (c * u - a * s), z + w * s + (a * v - b * u)
 
 
-def slerp(a: Quat, b: Quat, fraction: float) -> Quat:
+def slerp(
+    a: Quat,
+    b: Quat,
+    fraction: float,
+) -> Quat:
     """Unit quaternion on the shorter arc from ``a`` (fraction 0) to ``b`` (fraction 1)."""
     dot = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
     sign = -1.0 if dot < 0.0 else 1.0
@@ -143,7 +147,11 @@ def yaw_of(q: Quat) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
+def quat_from_rpy(
+    roll: float,
+    pitch: float,
+    yaw: float,
+) -> Quat:
     """Body-to-local quaternion of aerospace angles in rad: yaw about z, then pitch about y, then
     roll about x.
     """
@@ -185,7 +193,11 @@ def R_from_yaw(yaw: float) -> Matrix:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def R_from_rpy(roll: float, pitch: float, yaw: float) -> Matrix:
+def R_from_rpy(
+    roll: float,
+    pitch: float,
+    yaw: float,
+) -> Matrix:
     """Body-to-local rotation matrix Rz(yaw) Ry(pitch) Rx(roll), angles in rad."""
     return R_from_quat(quat_from_rpy(roll, pitch, yaw))
 

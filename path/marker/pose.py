@@ -180,12 +180,22 @@ def estimate_pose(
         other = Pose(fitted.other_R, fitted.other_t)
         candidates += (PoseCandidate(other, fitted.other_cost, min(1.0, likelihood)),)
     return MarkerPose(
-        candidates[0].T_c_v, fitted.covariance, incidence, side_px, rms, ambiguity, candidates
+        candidates[0].T_c_v,
+        fitted.covariance,
+        incidence,
+        side_px,
+        rms,
+        ambiguity,
+        candidates,
     )
 
 
 def _contradicted(
-    starts_R: Array, starts_t: Array, whole: PoseProblem, layout: MarkerLayout, camera: CameraModel
+    starts_R: Array,
+    starts_t: Array,
+    whole: PoseProblem,
+    layout: MarkerLayout,
+    camera: CameraModel,
 ) -> str | None:
     """Return the likely cause where gravity is against all that the corners alone allow; None where
     they bear it.
@@ -228,7 +238,9 @@ def _seen(
     whiteners = np.zeros((len(seen), 8, 8))
     for (each, _), whitener in zip(seen, whiteners, strict=True):
         if not whitening(
-            np.ascontiguousarray(each.covariance_px2), MIN_CORNER_SIGMA_PX**2, whitener
+            np.ascontiguousarray(each.covariance_px2),
+            MIN_CORNER_SIGMA_PX**2,
+            whitener,
         ):
             raise np.linalg.LinAlgError(
                 f"marker {each.marker_id}: its covariance is not positive definite"
@@ -302,7 +314,11 @@ def _side_px(found: MarkerDetection) -> float:
     return 0.25 * (math.dist(a, b) + math.dist(b, c) + math.dist(c, d) + math.dist(d, a))
 
 
-def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> tuple[Array, Array]:
+def _ippe(
+    found: MarkerDetection,
+    marker: Marker,
+    lens: Array,
+) -> tuple[Array, Array]:
     """Return both planar solutions as poses of ``v`` in the camera, (n, 3, 3) and (n, 3)."""
     seen = rays(np.ascontiguousarray(found.corners_px), lens)
     square = _square(marker.side_m)
@@ -312,7 +328,10 @@ def _ippe(found: MarkerDetection, marker: Marker, lens: Array) -> tuple[Array, A
         return np.empty((0, 3, 3)), np.empty((0, 3))
     _, turns, shifts, _ = solved
     return of_layout(
-        np.array(turns), np.array(shifts), np.ascontiguousarray(marker.T_v_m.R), marker.T_v_m.t
+        np.array(turns),
+        np.array(shifts),
+        np.ascontiguousarray(marker.T_v_m.R),
+        marker.T_v_m.t,
     )
 
 

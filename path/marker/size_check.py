@@ -66,7 +66,12 @@ class SizeContradiction:
 class SizeCheck:
     """The newest looks at one layout's markers, by their side and by depth."""
 
-    def __init__(self, layout: MarkerLayout, method: MethodConfig, looks: int = LOOKS) -> None:
+    def __init__(
+        self,
+        layout: MarkerLayout,
+        method: MethodConfig,
+        looks: int = LOOKS,
+    ) -> None:
         self._markers = {marker.id: marker for marker in layout.markers}
         self._fraction = method.depth_center_fraction
         self._looks = looks

@@ -50,7 +50,10 @@ class Recognised:
 
 
 def recognise(
-    image: NDArray[np.uint8], T_c_v: Pose, layout: MarkerLayout, camera: CameraModel
+    image: NDArray[np.uint8],
+    T_c_v: Pose,
+    layout: MarkerLayout,
+    camera: CameraModel,
 ) -> list[Recognised] | None:
     """Every marker of the layout that an expected pose turns to the camera; None when one of them
     is not there.
@@ -76,7 +79,11 @@ def recognise(
 
 
 def _recognised(
-    image: NDArray[np.uint8], quad: Array, H: Array, marker_id: int, dictionary: str
+    image: NDArray[np.uint8],
+    quad: Array,
+    H: Array,
+    marker_id: int,
+    dictionary: str,
 ) -> Recognised | None:
     """One marker near ``quad``; ``H`` is the homography from its plane, as it is sampled, to the
     image.
@@ -106,7 +113,10 @@ def _recognised(
     H[1] -= v * H[2]
     side = SAMPLES * (n + 2 * MARGIN)
     patch = cv2.warpPerspective(
-        grey, H, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        grey,
+        H,
+        (side, side),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
     )
     likeness = cv2.matchTemplate(patch, _wanted(dictionary, marker_id), cv2.TM_CCOEFF_NORMED)
     start = np.empty((4, 2))

@@ -57,7 +57,11 @@ def _plate(turn_deg: float, layout: MarkerLayout) -> str:
     return f"{question} {OFFICIAL}" if "APRILTAG" in layout.dictionary else question
 
 
-def _nearest(poses_R: Sequence[Matrix], down_v: Vector, down_c: Vector) -> float:
+def _nearest(
+    poses_R: Sequence[Matrix],
+    down_v: Vector,
+    down_c: Vector,
+) -> float:
     return min(_angle(R @ down_v, down_c) for R in poses_R)
 
 

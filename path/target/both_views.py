@@ -106,7 +106,11 @@ class BothViews:
         return distance / per_depth, math.sqrt(float(unit @ self.covariance @ unit)) / per_depth
 
 
-def triangulate(said: Sighted, ray_c: Vec3, ray_sigma_rad: float) -> BothViews:
+def triangulate(
+    said: Sighted,
+    ray_c: Vec3,
+    ray_sigma_rad: float,
+) -> BothViews:
     """Fuse D1's point with D2's line of sight.
 
     Args:
@@ -129,7 +133,12 @@ def triangulate(said: Sighted, ray_c: Vec3, ray_sigma_rad: float) -> BothViews:
     return BothViews(x1 - gain @ off, covariance, chi2, agree=True)
 
 
-def with_range(both: BothViews, ray_c: Vec3, distance_m: float, sigma_m: float) -> BothViews:
+def with_range(
+    both: BothViews,
+    ray_c: Vec3,
+    distance_m: float,
+    sigma_m: float,
+) -> BothViews:
     """Add D2's own range along its line of sight, unless it contradicts."""
     unit = np.array(ray_c) / np.linalg.norm(ray_c)
     off_m = distance_m - float(unit @ both.point_c)

@@ -45,14 +45,22 @@ class TargetSize:
                 raise ValueError(f"{name}: {getattr(self, name)!r} is not above 0")
 
 
-def extent_at(z_m: float, focal_px: float, size: TargetSize) -> Extent:
+def extent_at(
+    z_m: float,
+    focal_px: float,
+    size: TargetSize,
+) -> Extent:
     """The size in px that the box of a target of known size has at a depth."""
     usual_px = size.apparent_m * focal_px / z_m
     most_px = usual_px * (1.0 + _MOST_SIGMAS * size.sigma)
     return Extent(usual_px, most_px, size.longest_m * focal_px / z_m)
 
 
-def monocular_range(box: Box, camera: CameraModel, size: TargetSize) -> Depth | None:
+def monocular_range(
+    box: Box,
+    camera: CameraModel,
+    size: TargetSize,
+) -> Depth | None:
     """Return the depth of the middle of a target of known size, and its standard deviation.
 
     Along the optical axis.

@@ -12,7 +12,11 @@ from path.observations import Box, around
 _PIECES = 0.1
 
 
-def whole_of(first: Box, other: Box, side_px: tuple[float, float]) -> Box | None:
+def whole_of(
+    first: Box,
+    other: Box,
+    side_px: tuple[float, float],
+) -> Box | None:
     """The box around two that are the object with those sides; None where they are not."""
     both = around((first, other))
     off = _odds(both, side_px)

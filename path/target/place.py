@@ -32,7 +32,11 @@ def depth_sigma(z_m: float, config: MethodConfig) -> float:
     return config.depth_sigma_at_1m_m * z_m * z_m
 
 
-def registered_depth(depth_mm: Depths, box: Box, config: MethodConfig) -> Depth | None:
+def registered_depth(
+    depth_mm: Depths,
+    box: Box,
+    config: MethodConfig,
+) -> Depth | None:
     """Robust depth of the target over the central part of its box.
 
     The median over valid pixels (not 0, within the limits), refined by the median of those near it,
@@ -53,7 +57,10 @@ def registered_depth(depth_mm: Depths, box: Box, config: MethodConfig) -> Depth 
     depths_mm = patch.flatten()
     limits_mm = config.min_depth_m * 1000.0, config.max_depth_m * 1000.0
     valid, spread, z_mm = middle(
-        depths_mm, *limits_mm, config.depth_sigma_at_1m_m, np.empty(depths_mm.size)
+        depths_mm,
+        *limits_mm,
+        config.depth_sigma_at_1m_m,
+        np.empty(depths_mm.size),
     )
     if valid < max(config.min_depth_pixels, config.min_depth_valid * patch.size):
         return None
@@ -70,7 +77,11 @@ def registered_depth(depth_mm: Depths, box: Box, config: MethodConfig) -> Depth 
     )
 
 
-def _central_part(depth_mm: Depths, box: Box, fraction: float) -> Depths | None:
+def _central_part(
+    depth_mm: Depths,
+    box: Box,
+    fraction: float,
+) -> Depths | None:
     """Return the pixels of the middle ``fraction`` of a box per side, thinned.
 
     None when the box is none or outside the image.
@@ -103,7 +114,12 @@ class TargetPoint(NamedTuple):
     sigma_m: float
 
 
-def back_project(camera: CameraModel, u: float, v: float, z_m: float) -> Vec3:
+def back_project(
+    camera: CameraModel,
+    u: float,
+    v: float,
+    z_m: float,
+) -> Vec3:
     """Return the point in the camera frame of a distorted pixel at depth ``z_m``.
 
     Eq. target_backprojection; NaN off the lens.
@@ -112,7 +128,12 @@ def back_project(camera: CameraModel, u: float, v: float, z_m: float) -> Vec3:
     return z_m * x, z_m * y, z_m
 
 
-def locate(views: TwoViews, box: Box, depth: Depth, config: MethodConfig) -> TargetPoint:
+def locate(
+    views: TwoViews,
+    box: Box,
+    depth: Depth,
+    config: MethodConfig,
+) -> TargetPoint:
     """Return the target's point in ``v`` from its box and depth (eq. target_virtual).
 
     The box is of plain floats. NaN off the lens.
@@ -121,7 +142,11 @@ def locate(views: TwoViews, box: Box, depth: Depth, config: MethodConfig) -> Tar
     return TargetPoint(point_v_m, depth.z_m, _point_sigma(views.camera1, distance_m, depth, config))
 
 
-def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -> float:
+def across_sigma(
+    camera: CameraModel,
+    distance_m: float,
+    config: MethodConfig,
+) -> float:
     """Return the standard deviation of a target across the line of sight, m.
 
     Pixel noise, and the mounting's angle.
@@ -131,7 +156,10 @@ def across_sigma(camera: CameraModel, distance_m: float, config: MethodConfig) -
 
 
 def _point_sigma(
-    camera: CameraModel, distance_m: float, depth: Depth, config: MethodConfig
+    camera: CameraModel,
+    distance_m: float,
+    depth: Depth,
+    config: MethodConfig,
 ) -> float:
     """Standard deviation in m of the point in ``v`` in its least certain direction.
 

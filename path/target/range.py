@@ -107,7 +107,11 @@ class Ranged:
 
 
 def by_size(
-    box: Box, camera: CameraModel, sight: Sight, body: Body, pixel_sigma_px: float
+    box: Box,
+    camera: CameraModel,
+    sight: Sight,
+    body: Body,
+    pixel_sigma_px: float,
 ) -> Depth | None:
     """Return the range of a body of known size.
 
@@ -234,7 +238,11 @@ def _chi2(given: Sequence[Depth], chosen: Sequence[int]) -> float:
     return sum((given[k].z_m - mean_m) ** 2 / variance_of(given[k]) for k in chosen)
 
 
-def _fused(given: Sequence[Depth], witnesses: Sequence[Depth], chosen: Sequence[int]) -> Ranged:
+def _fused(
+    given: Sequence[Depth],
+    witnesses: Sequence[Depth],
+    chosen: Sequence[int],
+) -> Ranged:
     mean_m, variance = _mean(witnesses, chosen)
     believed = sorted((witnesses[k] for k in chosen), key=variance_of)
     others = [each for k, each in enumerate(witnesses) if k not in chosen]
@@ -252,7 +260,13 @@ def _fused(given: Sequence[Depth], witnesses: Sequence[Depth], chosen: Sequence[
     return Ranged(depth, by, tuple(each.source for each in against), chi2)
 
 
-def _of_surface(z_m: float, sigma_m: float, sight: Sight, body: Body, source: RangeSource) -> Depth:
+def _of_surface(
+    z_m: float,
+    sigma_m: float,
+    sight: Sight,
+    body: Body,
+    source: RangeSource,
+) -> Depth:
     """Return a range to the body's middle as one to its surface, where its size is known."""
     if not body.known:
         return Depth(z_m, sigma_m, source)

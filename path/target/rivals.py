@@ -114,7 +114,12 @@ class Rivals:
         return bool(self._beside)
 
     def offsets(
-        self, target_m: Offset, T_v_c2: Rigid, box2: Box, own: Box, place: Values
+        self,
+        target_m: Offset,
+        T_v_c2: Rigid,
+        box2: Box,
+        own: Box,
+        place: Values,
     ) -> Offsets:
         """The distances of D2's box from the target, as given, and from each object beside it.
 
@@ -143,7 +148,11 @@ class Rivals:
         return Offsets(target_m, tuple(others))
 
     def _place(
-        self, rival: Rival, z_m: float, point_v: Vec3, gravity_v: Vec3
+        self,
+        rival: Rival,
+        z_m: float,
+        point_v: Vec3,
+        gravity_v: Vec3,
     ) -> tuple[Vec3, float] | None:
         """A rival's place in ``v``, and its depth; None when its pixel has no ray."""
         views = self._views

@@ -59,7 +59,11 @@ class RunningSize:
         return None if self._mean is None else (math.exp(self._mean[0]), math.exp(self._mean[1]))
 
     def note(
-        self, stamp_ns: int, sides_m: tuple[float, float], sigma: float, most_sigmas: float
+        self,
+        stamp_ns: int,
+        sides_m: tuple[float, float],
+        sigma: float,
+        most_sigmas: float,
     ) -> float:
         """Return by how many standard deviations a box is larger than those before it.
 
@@ -81,7 +85,11 @@ class RunningSize:
         return grown
 
 
-def _followed(mean: float, new: float, since_s: float) -> float:
+def _followed(
+    mean: float,
+    new: float,
+    since_s: float,
+) -> float:
     return mean - math.expm1(-since_s / (SETTLE_S if new > mean else LEARNED_S)) * (new - mean)
 
 
@@ -94,16 +102,40 @@ class Sizes:
         self._body = config.evidence.span_m, config.evidence.height_m
         self._own, self._theirs = RunningSize(), RunningSize()
 
-    def own(self, stamp_ns: int, box: Box, depth: Depth, point_v: Vec3, gravity_v: Vec3) -> float:
+    def own(
+        self,
+        stamp_ns: int,
+        box: Box,
+        depth: Depth,
+        point_v: Vec3,
+        gravity_v: Vec3,
+    ) -> float:
         """Return how much too large D1's box in its newest frame is, in standard deviations."""
         wide_m, high_m, larger = sized(
-            self._views, self._body, box.w, box.h, depth.z_m, point_v, gravity_v
+            self._views,
+            self._body,
+            box.w,
+            box.h,
+            depth.z_m,
+            point_v,
+            gravity_v,
         )
         return self._above(
-            self._own, stamp_ns, box, depth.sigma_m / depth.z_m, (wide_m, high_m), larger
+            self._own,
+            stamp_ns,
+            box,
+            depth.sigma_m / depth.z_m,
+            (wide_m, high_m),
+            larger,
         )
 
-    def theirs(self, stamp_ns: int, box: Box, range_sigma_m: float, found: Comparison) -> float:
+    def theirs(
+        self,
+        stamp_ns: int,
+        box: Box,
+        range_sigma_m: float,
+        found: Comparison,
+    ) -> float:
         """The same of D2's, at the range at which its camera has the target's point."""
         if not found.range_m > 0.0:
             return FITS
@@ -119,7 +151,10 @@ class Sizes:
         pixels = 2.0 * self._config.pixel_sigma_px / max(1.0, min(box.w, box.h))
         measured = math.hypot(pixels, by_range)
         above = running.note(
-            stamp_ns, sides_m, math.hypot(measured, own.growth_sigma), own.size_sigmas
+            stamp_ns,
+            sides_m,
+            math.hypot(measured, own.growth_sigma),
+            own.size_sigmas,
         )
         if own.span_m > 0.0:
             above = max(above, math.log(larger) / math.hypot(measured, own.size_sigma))

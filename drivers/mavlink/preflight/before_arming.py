@@ -28,7 +28,10 @@ class BeforeArming:
     """The pilot and the fence of one vehicle that is open."""
 
     def __init__(
-        self, session: MavsdkSession, telemetry: TelemetrySlots, config: MavsdkVehicleConfig
+        self,
+        session: MavsdkSession,
+        telemetry: TelemetrySlots,
+        config: MavsdkVehicleConfig,
     ) -> None:
         self._session = session
         self._telemetry = telemetry

@@ -39,7 +39,9 @@ SILENCING = (
         "station's joystick can keep it out: 0 is the radio alone, 5 and 7 put it first",
     ),
     PilotRule(
-        "RC_OPTIONS", _bit(0), "bit 0 ignores the receiver: mode switch and kill switch do nothing"
+        "RC_OPTIONS",
+        _bit(0),
+        "bit 0 ignores the receiver: mode switch and kill switch do nothing",
     ),
     PilotRule(
         "FENCE_OPTIONS",

@@ -120,7 +120,9 @@ RULES = (
     WantedRule("RC_MAP_FLTMODE", _positive, "no channel is the mode switch", with_radio=True),
     WantedRule("RC_MAP_KILL_SW", _positive, "no channel is the kill switch", with_radio=True),
     WantedRule(
-        "FENCE_ACTION", _one_of(1, 2, 3, 4, 5), "0 does nothing at its fence: 4 brakes, 2 lands"
+        "FENCE_ACTION",
+        _one_of(1, 2, 3, 4, 5),
+        "0 does nothing at its fence: 4 brakes, 2 lands",
     ),
     WantedRule("FENCE_ENABLE", _one_of(1), "0 is no fence"),
     WantedRule(
@@ -142,7 +144,10 @@ RULES = (
         whole=False,
     ),
     WantedRule(
-        "RTL_ALT", _height_cm, "centimetres, as 300, or 0 for the height it has", whole=False
+        "RTL_ALT",
+        _height_cm,
+        "centimetres, as 300, or 0 for the height it has",
+        whole=False,
     ),
     WantedRule("LAND_REPOSITION", _one_of(0, 1), "it is 0 or 1"),
     WantedRule(
@@ -152,7 +157,10 @@ RULES = (
         with_radio=True,
     ),
     WantedRule(
-        "FS_OPTIONS", _no_bits(4), "bit 2 flies on in GUIDED without a radio: 16", with_radio=True
+        "FS_OPTIONS",
+        _no_bits(4),
+        "bit 2 flies on in GUIDED without a radio: 16",
+        with_radio=True,
     ),
     WantedRule("FLTMODE_CH", _positive, "no channel is the mode switch", with_radio=True),
 )
@@ -161,7 +169,12 @@ COMPANION = ("MAV_GCS_SYSID", "SYSID_MYGCS")
 """Who ArduCopter's failsafe takes for the companion: newer and older name."""
 
 
-def wrong(name: str, value: float, *, radio: bool = True) -> str:
+def wrong(
+    name: str,
+    value: float,
+    *,
+    radio: bool = True,
+) -> str:
     """Return what is wrong with one value, in words; empty when it is safe, or nothing is known of
     the parameter.
     """
@@ -175,7 +188,12 @@ def wrong(name: str, value: float, *, radio: bool = True) -> str:
     return "" if rule.good(value) else f"{name} = {value:g}: {rule.otherwise}"
 
 
-def refused(wanted: Mapping[str, float], *, radio: bool, companion_id: int) -> Collection[str]:
+def refused(
+    wanted: Mapping[str, float],
+    *,
+    radio: bool,
+    companion_id: int,
+) -> Collection[str]:
     """Return those of a rig's wanted parameters that it may not want, each with its reason.
 
     Args:

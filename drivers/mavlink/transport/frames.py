@@ -79,7 +79,12 @@ def payload_of(frame: bytes, size: int) -> bytes:
     return frame[at : at + frame[1]].ljust(size, b"\0")
 
 
-def make(message: int, payload: bytes, sender: tuple[int, int], sequence: int) -> bytes:
+def make(
+    message: int,
+    payload: bytes,
+    sender: tuple[int, int],
+    sequence: int,
+) -> bytes:
     """An unsigned MAVLink 2 frame of one of the two known messages."""
     payload = payload.rstrip(b"\0") or b"\0"
     rest = (

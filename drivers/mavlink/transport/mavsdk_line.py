@@ -46,7 +46,11 @@ class MavsdkLine:
     """
 
     def __init__(
-        self, url: str, sysid: int, own: tuple[int, int], key: bytes | None = None
+        self,
+        url: str,
+        sysid: int,
+        own: tuple[int, int],
+        key: bytes | None = None,
     ) -> None:
         if URL.fullmatch(url) is None:
             raise VehicleError(

@@ -85,7 +85,12 @@ def _lock(what: str) -> int:
     return file
 
 
-def _probe(scheme: str, host: str, port: int, what: str) -> None:
+def _probe(
+    scheme: str,
+    host: str,
+    port: int,
+    what: str,
+) -> None:
     """Bind once without SO_REUSEADDR, which fails when anybody else has the port."""
     tcp = scheme.startswith("tcp")
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM if tcp else socket.SOCK_DGRAM) as probe:

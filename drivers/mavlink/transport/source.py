@@ -53,7 +53,12 @@ class VehicleSource:
     _heard_ns: int = 0
     _asked: dict[Address, int] = field(default_factory=dict[Address, int])
 
-    def believes(self, frame: bytes, source: Address, now_ns: int) -> bool:
+    def believes(
+        self,
+        frame: bytes,
+        source: Address,
+        now_ns: int,
+    ) -> bool:
         """Return whether a frame comes from the vehicle's own address; takes the answers that
         prove one.
         """
@@ -68,7 +73,12 @@ class VehicleSource:
             self.ignore(f"a second vehicle {self.sysid}, at {source[0]}:{source[1]}")
         return False
 
-    def question(self, frame: bytes, source: Address, now_ns: int) -> bytes | None:
+    def question(
+        self,
+        frame: bytes,
+        source: Address,
+        now_ns: int,
+    ) -> bytes | None:
         """Return what to ask where a heartbeat came from that is not believed; None when nothing
         is to be asked.
         """
@@ -89,7 +99,12 @@ class VehicleSource:
         kind = what if what in self.ignored or len(self.ignored) < _MOST_KINDS else OTHERS
         self.ignored[kind] = self.ignored.get(kind, 0) + 1
 
-    def _answers(self, head: Head, frame: bytes, source: Address) -> bool:
+    def _answers(
+        self,
+        head: Head,
+        frame: bytes,
+        source: Address,
+    ) -> bool:
         asked = self._asked.get(source)
         if asked is None or head.message != TIMESYNC or not whole(frame):
             return False

@@ -36,7 +36,11 @@ def run_name() -> str:
     return f"run-{os.getpid()}"
 
 
-async def spawn(command: Sequence[str], errors: Path, run: str = "") -> Child:
+async def spawn(
+    command: Sequence[str],
+    errors: Path,
+    run: str = "",
+) -> Child:
     """A child in a session of its own: Ctrl-C in the terminal reaches only this process, which then
     decides.
 

@@ -77,7 +77,10 @@ def _words(said: Pointed | Answer) -> dict[str, Any]:
 
 
 def person_on_the_wire(
-    rig: Rig, built: Built, config: PersonConfig, seed: int
+    rig: Rig,
+    built: Built,
+    config: PersonConfig,
+    seed: int,
 ) -> PersonOnTheWire | None:
     """Return the person that D1's program hears; None where the rig has no operator."""
     spec = rig.sender.operator

@@ -57,7 +57,14 @@ class CameraView:
     moment.
     """
 
-    def __init__(self, built: Built, role: Role, seed: int, *, depth: bool) -> None:
+    def __init__(
+        self,
+        built: Built,
+        role: Role,
+        seed: int,
+        *,
+        depth: bool,
+    ) -> None:
         rig = built.rig
         own = rig.role(role)
         self.errors = built.sensors[role]
@@ -71,10 +78,18 @@ class CameraView:
         self._depth: DepthRenderer | None = None
         if depth:
             self._depth = DepthRenderer(
-                self._renderer, depth_camera(*depth_size(rig, role)), T_COLOR_DEPTH
+                self._renderer,
+                depth_camera(*depth_size(rig, role)),
+                T_COLOR_DEPTH,
             )
 
-    def take(self, stamp_ns: int, snapshot: Snapshot, frame: int, writer: FrameWriter) -> None:
+    def take(
+        self,
+        stamp_ns: int,
+        snapshot: Snapshot,
+        frame: int,
+        writer: FrameWriter,
+    ) -> None:
         color = self._renderer.render_color(snapshot, self.role, frame)
         if isinstance(writer, TelloVideo):
             writer.write(stamp_ns, color)
@@ -82,7 +97,9 @@ class CameraView:
             late_s = self.errors.depth_late_s
             then = snapshot.carried_on(late_s) if late_s else snapshot
             writer.write(
-                stamp_ns, color, self.errors.measured_mm(self._depth.render(then, self.role, frame))
+                stamp_ns,
+                color,
+                self.errors.measured_mm(self._depth.render(then, self.role, frame)),
             )
 
 
@@ -148,7 +165,9 @@ def camera_config(rig: Rig, role: Role) -> RealSenseConfig:
     """Return the settings of a role's camera driver. Raises RigError when it is another driver."""
     perception = rig.role(role).perception
     camera = PartSpec.from_table(
-        perception.options.get("camera"), f"{perception.where}.camera", perception.base
+        perception.options.get("camera"),
+        f"{perception.where}.camera",
+        perception.base,
     )
     _, config = decode_part(camera)
     if not isinstance(config, RealSenseConfig):
@@ -166,7 +185,11 @@ def depth_size(rig: Rig, role: Role) -> tuple[int, int]:
     return camera_config(rig, role).depth_size or (color.width, color.height)
 
 
-def shared_camera(run: str, rig: Rig, role: Role) -> SharedCameraWriter:
+def shared_camera(
+    run: str,
+    rig: Rig,
+    role: Role,
+) -> SharedCameraWriter:
     """Return the writer of frames to where a role's driver looks for them."""
     color = rig.role(role).camera
     size = (color.width, color.height)
@@ -181,7 +204,10 @@ GROUND = "PATH_GCS"
 
 
 def embedded_vehicle(
-    rig: Rig, own: RoleRig, drone: SimDrone, arrived: Callable[[float], float]
+    rig: Rig,
+    own: RoleRig,
+    drone: SimDrone,
+    arrived: Callable[[float], float],
 ) -> MavlinkVehicle:
     """A drone's autopilot on the wire, where the role's driver listens, its guard's, and a ground
     station if any.
@@ -193,7 +219,10 @@ def embedded_vehicle(
     tangent = LocalTangent.at(rig.origin)
     options = own.vehicle.options
     config = MavlinkVehicleConfig(
-        int(options["sysid"]), _listener(str(options["url"])), second=second, ground=ground
+        int(options["sysid"]),
+        _listener(str(options["url"])),
+        second=second,
+        ground=ground,
     )
     return MavlinkVehicle(config, drone, tangent, arrived)
 

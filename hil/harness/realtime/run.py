@@ -51,7 +51,10 @@ class RealTimeRun(LivePrograms):
     """One run in real time, of any number of drones."""
 
     async def run(
-        self, mission: Callable[[], Coroutine[Any, Any, None]], limit_s: float, landing_s: float
+        self,
+        mission: Callable[[], Coroutine[Any, Any, None]],
+        limit_s: float,
+        landing_s: float,
     ) -> Ending:
         """From the start of the world to its findings. Whatever happens, no process outlives it.
 
@@ -97,7 +100,9 @@ class RealTimeRun(LivePrograms):
             beside.append(asyncio.ensure_future(self._tell_news()))
         try:
             done, _ = await asyncio.wait(
-                [mission, *beside], timeout=limit_s, return_when=asyncio.FIRST_COMPLETED
+                [mission, *beside],
+                timeout=limit_s,
+                return_when=asyncio.FIRST_COMPLETED,
             )
             if not done:
                 self.interrupt()

@@ -67,7 +67,11 @@ another colour than its hull, and the colour detector hardly ever has them in it
 are around their limbs where their steps are longest: arms and legs that swing stay within them."""
 
 
-def model_of_thing(kind: TargetKind, thing: ObjectTruth, stretch: Vec3 = AS_IT_IS) -> Model:
+def model_of_thing(
+    kind: TargetKind,
+    thing: ObjectTruth,
+    stretch: Vec3 = AS_IT_IS,
+) -> Model:
     """Return the body that cameras see of an object now: people are not quite alike, and in their
     gait.
     """

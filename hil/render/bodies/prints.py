@@ -61,7 +61,11 @@ def marker_print(
     return np.round(255.0 * shade).astype(np.uint8)
 
 
-def _shown(n: int, per_cell: int, picture_px: int) -> NDArray[np.intp]:
+def _shown(
+    n: int,
+    per_cell: int,
+    picture_px: int,
+) -> NDArray[np.intp]:
     """The cell (0 .. n - 1) that each texel of a row shows."""
     texels = np.arange(n * per_cell)
     if picture_px == 0:
@@ -78,7 +82,12 @@ def _spread(white: Image, spread: float) -> Array:
     return np.clip(spread - distance + 1.0, 0.0, 1.0)
 
 
-def _across(size: int, texel_m: float, side_m: float, rng: np.random.Generator) -> Array:
+def _across(
+    size: int,
+    texel_m: float,
+    side_m: float,
+    rng: np.random.Generator,
+) -> Array:
     """Distance in m, shape (size, size), from a line in a random direction that passes near the
     centre.
     """
@@ -89,7 +98,11 @@ def _across(size: int, texel_m: float, side_m: float, rng: np.random.Generator) 
 
 
 def _light(
-    size: int, texel_m: float, side_m: float, printing: Printing, rng: np.random.Generator
+    size: int,
+    texel_m: float,
+    side_m: float,
+    printing: Printing,
+    rng: np.random.Generator,
 ) -> Array | float:
     """Share of the light that reaches each texel: 1, falling smoothly to ``SHADED``."""
     if printing.shadow == "none":
@@ -99,7 +112,12 @@ def _light(
     return 1.0 - (1.0 - SHADED) * step * step * (3.0 - 2.0 * step)
 
 
-def _blade(size: int, texel_m: float, side_m: float, rng: np.random.Generator) -> Array:
+def _blade(
+    size: int,
+    texel_m: float,
+    side_m: float,
+    rng: np.random.Generator,
+) -> Array:
     """Opacity of a blade across the plate."""
     beyond_m = np.abs(_across(size, texel_m, side_m, rng)) - 0.5 * BLADE_M
     return BLADE_OPACITY * np.clip(0.5 - 0.5 * beyond_m / BLADE_EDGE_M, 0.0, 1.0)

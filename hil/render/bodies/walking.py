@@ -79,11 +79,21 @@ def walker(variant: int) -> Walker:
 def _faces_of(model: Model) -> Iterator[Face]:
     shades = iter(model.shades)
     for corner, color, kind, second in zip(
-        model.corners, model.colors, model.kinds, model.seconds, strict=True
+        model.corners,
+        model.colors,
+        model.kinds,
+        model.seconds,
+        strict=True,
     ):
         table = None if kind == SOLID else next(shades)
         yield Face(
-            corner[:3], corner[3:6], corner[6:], tuple(color), int(kind), tuple(second), table
+            corner[:3],
+            corner[3:6],
+            corner[6:],
+            tuple(color),
+            int(kind),
+            tuple(second),
+            table,
         )
 
 
@@ -124,7 +134,11 @@ def _cap(face: Face, height_m: float) -> Face:
     return face._replace(corner=np.array([*face.corner[:2], height_m]), kind=SOLID, shades=None)
 
 
-def walking(variant: int, strides: float, speed_mps: float) -> Model:
+def walking(
+    variant: int,
+    strides: float,
+    speed_mps: float,
+) -> Model:
     """A person in their gait: x forward, z up, origin on the ground below the hips.
 
     Args:
@@ -138,7 +152,12 @@ def walking(variant: int, strides: float, speed_mps: float) -> Model:
     return replace(body.model, corners=points.reshape(-1, 9))
 
 
-def walking_as(number: int, variant: int, strides: float, speed_mps: float) -> Model:
+def walking_as(
+    number: int,
+    variant: int,
+    strides: float,
+    speed_mps: float,
+) -> Model:
     """The person with a number among others: nobody walks in step."""
     return walking(variant, strides + OWN_PHASE * number, speed_mps)
 
@@ -176,7 +195,11 @@ def boxes_of_a_walker(strides: float, speed_mps: float) -> Array:
     return np.array(rows)
 
 
-def _now(scale: Array, strides: float, speed_mps: float) -> tuple[Array, Array]:
+def _now(
+    scale: Array,
+    strides: float,
+    speed_mps: float,
+) -> tuple[Array, Array]:
     """Return how each limb is turned and moved, as ``_posture``."""
     feet = foot_at(strides, speed_mps), foot_at(strides + 0.5, speed_mps)
     return _posture(scale, feet, reach_m(speed_mps), math.cos(2.0 * math.pi * strides))
@@ -246,7 +269,12 @@ def _posture(
         second = math.atan2(ahead - knee_x, down - knee_down)
         _hinge(turn, shift, THIGH + side, first, (0.0, hip), (0.0, hip + sunk))
         _hinge(
-            turn, shift, SHIN + side, second, (0.0, hip - thigh), (knee_x, hip + sunk - knee_down)
+            turn,
+            shift,
+            SHIN + side,
+            second,
+            (0.0, hip - thigh),
+            (knee_x, hip + sunk - knee_down),
         )
         shift[SHOE + side] = ahead, 0.0, above
         _hinge(

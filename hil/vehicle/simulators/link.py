@@ -79,7 +79,9 @@ class SimulatorLink:
         self.epoch_s = 0.0  # of the world's clock, for ``watch``
         self._mav: Any = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
         self._radio_mav: Any = mavlink.MAVLink(
-            None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT
+            None,
+            srcSystem=OWN_SYSID,
+            srcComponent=OWN_COMPONENT,
         )
         self._asked_s = -math.inf
         self._heard: dict[int, float] = {}
@@ -154,7 +156,11 @@ class SimulatorLink:
         """Ask for a change of a float parameter; ``parameters`` has it when it was made."""
         self._send(
             mavlink.MAVLink_param_set_message(
-                self._sysid, AUTOPILOT, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32
+                self._sysid,
+                AUTOPILOT,
+                name.encode(),
+                value,
+                mavlink.MAV_PARAM_TYPE_REAL32,
             )
         )
 
@@ -163,7 +169,9 @@ class SimulatorLink:
         may do so.
         """
         message: Any = mavlink.MAVLink_rc_channels_override_message(
-            self._sysid, AUTOPILOT, *channels
+            self._sysid,
+            AUTOPILOT,
+            *channels,
         )
         self.wire.write(message.pack(self._radio_mav))
 
@@ -200,7 +208,9 @@ class SimulatorLink:
                 self.follower.on_fix(Fix(time_s, (north, east, math.nan)))
             case "HEARTBEAT" if message.get_srcComponent() == AUTOPILOT:
                 self.watch.on_heartbeat(
-                    time_s - self.epoch_s, message.custom_mode, message.base_mode
+                    time_s - self.epoch_s,
+                    message.custom_mode,
+                    message.base_mode,
                 )
             case "CURRENT_MODE":
                 self.watch.on_mode(time_s - self.epoch_s, message.custom_mode)

@@ -199,10 +199,14 @@ class AutopilotProcess:
         instance = self.sysid - 1
         parameters = {"SIH_LOC_H0": home.altitude_m, "SDLOG_MODE": -1, **self._parameters}
         script = PX4_HOME.format(
-            name="LAT", degrees=home.latitude_deg, whole=round(home.latitude_deg * 1e7)
+            name="LAT",
+            degrees=home.latitude_deg,
+            whole=round(home.latitude_deg * 1e7),
         )
         script += PX4_HOME.format(
-            name="LON", degrees=home.longitude_deg, whole=round(home.longitude_deg * 1e7)
+            name="LON",
+            degrees=home.longitude_deg,
+            whole=round(home.longitude_deg * 1e7),
         )
         script += "".join(f"param set {name} {value:.9g}\n" for name, value in parameters.items())
         script += ". ${R}etc/init.d-posix/px4-rc.simulator\n"  # R: where rcS found itself

@@ -86,7 +86,12 @@ class SimulatedRadio:
         lost: it is off, or out of reach, as of the newest ``pump``.
     """
 
-    def __init__(self, kind: Kind, sysid: int, wire: RadioWire) -> None:
+    def __init__(
+        self,
+        kind: Kind,
+        sysid: int,
+        wire: RadioWire,
+    ) -> None:
         self.transmitter = Transmitter()
         self.lost = False
         self._kind: Kind = kind

@@ -72,7 +72,12 @@ class FlightWatch:
         """Longest time between setpoints in any session so far."""
         return max((session.max_gap_s for session in self.offboard_sessions), default=0.0)
 
-    def on_heartbeat(self, now_s: float, custom_mode: int, base_mode: int) -> None:
+    def on_heartbeat(
+        self,
+        now_s: float,
+        custom_mode: int,
+        base_mode: int,
+    ) -> None:
         self.armed = bool(base_mode & SAFETY_ARMED)
         self.on_mode(now_s, custom_mode)
         if not self.armed:
@@ -100,7 +105,12 @@ class FlightWatch:
             self.offboard_sessions.append(OffboardSession(now_s))
         self.newest_setpoint_s = now_s
 
-    def on_command(self, now_s: float, command: int, param2: float) -> None:
+    def on_command(
+        self,
+        now_s: float,
+        command: int,
+        param2: float,
+    ) -> None:
         """A command from the companion: leaving OFFBOARD by its own will is no gap."""
         offboard = self._kind.set_mode[FlightMode.OFFBOARD][0]
         if command in (NAV_LAND, NAV_RETURN) or (command == DO_SET_MODE and param2 != offboard):
@@ -129,7 +139,13 @@ class MavlinkRelay:
     the cable cut or not.
     """
 
-    def __init__(self, kind: str, sysid: int, vehicle: Address, companion: Address) -> None:
+    def __init__(
+        self,
+        kind: str,
+        sysid: int,
+        vehicle: Address,
+        companion: Address,
+    ) -> None:
         """``vehicle``: where the autopilot sends to; ``companion``: where MAVSDK listens. Raises
         OSError.
         """
@@ -178,7 +194,11 @@ class MavlinkRelay:
         )
 
     def _from_vehicle(
-        self, packet: bytes, sender: Address, arrival_s: float, epoch_s: float
+        self,
+        packet: bytes,
+        sender: Address,
+        arrival_s: float,
+        epoch_s: float,
     ) -> None:
         self._peer = sender
         for message_id, sysid, frame in frames(packet):
@@ -189,7 +209,13 @@ class MavlinkRelay:
         if not self.silent:
             _send(self._companion_socket, packet, self._companion)
 
-    def _from_companion(self, packet: bytes, _: Address, arrival_s: float, epoch_s: float) -> None:
+    def _from_companion(
+        self,
+        packet: bytes,
+        _: Address,
+        arrival_s: float,
+        epoch_s: float,
+    ) -> None:
         if self.silent or self._peer is None:
             return
         for message_id, _sysid, frame in frames(packet):
@@ -225,7 +251,11 @@ class MavlinkRelay:
             return None
 
 
-def _send(through: socket.socket, packet: bytes, to: Address) -> None:
+def _send(
+    through: socket.socket,
+    packet: bytes,
+    to: Address,
+) -> None:
     with contextlib.suppress(OSError):
         through.sendto(packet, to)
 

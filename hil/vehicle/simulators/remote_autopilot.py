@@ -24,7 +24,10 @@ class RemoteAutopilot:
     config = AutopilotConfig()  # of which the monitors ask at what battery it may land by itself
 
     def __init__(
-        self, relay: MavlinkRelay | None, link: SimulatorLink, radio: SimulatedRadio | None = None
+        self,
+        relay: MavlinkRelay | None,
+        link: SimulatorLink,
+        radio: SimulatedRadio | None = None,
     ) -> None:
         """``radio``: the pilot's, None where there is none."""
         self._link = link
@@ -95,7 +98,12 @@ class RemoteAutopilot:
     def setpoint_gap_s(self) -> float:
         return self._cable.watch.setpoint_gap_s
 
-    def request_mode(self, now_s: float, mode: FlightMode, by_pilot: bool = False) -> None:
+    def request_mode(
+        self,
+        now_s: float,
+        mode: FlightMode,
+        by_pilot: bool = False,
+    ) -> None:
         """Change the mode as a pilot; nobody else's change can be asked for."""
         del now_s, mode
         assert by_pilot

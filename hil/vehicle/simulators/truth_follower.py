@@ -132,7 +132,11 @@ class TruthFollower:
         return row
 
 
-def _turned(q: Quat, rates: Vec3, seconds: float) -> Quat:
+def _turned(
+    q: Quat,
+    rates: Vec3,
+    seconds: float,
+) -> Quat:
     x, y, z = (0.5 * seconds * rate for rate in rates)
     turned = multiply(q, (1.0, x, y, z))
     size = math.hypot(*turned)

@@ -56,7 +56,12 @@ class Collected:
     others: list[Image] = field(default_factory=list[Image])
     serial: str = ""
 
-    def add(self, name: str, grey: Image, view: BoardView | None) -> None:
+    def add(
+        self,
+        name: str,
+        grey: Image,
+        view: BoardView | None,
+    ) -> None:
         size = grey.shape[1], grey.shape[0]
         self.looks.append(CollectedImage(name, size, view, None if view is None else grey))
         if view is None:
@@ -71,7 +76,11 @@ class Collected:
             self.others.append(grey)
 
 
-def from_images(folder: Path, board: Board, bars: Bars) -> Collected:
+def from_images(
+    folder: Path,
+    board: Board,
+    bars: Bars,
+) -> Collected:
     """Every image of a folder. Raises PartError when there is none."""
     files = image_files(folder)
     collected = Collected()
@@ -79,7 +88,9 @@ def from_images(folder: Path, board: Board, bars: Bars) -> Collected:
         for file in files:
             grey = cv2.cvtColor(read_image(file), cv2.COLOR_BGR2GRAY)
             collected.add(
-                file.name, np.asarray(grey, np.uint8), find_board(np.asarray(grey, np.uint8), board)
+                file.name,
+                np.asarray(grey, np.uint8),
+                find_board(np.asarray(grey, np.uint8), board),
             )
             advance()
     return collected
@@ -136,7 +147,12 @@ def _apart(a: BoardView, b: BoardView) -> float:
     return float(np.sqrt(((a.corners_px[i] - b.corners_px[j]) ** 2).sum(axis=1).mean()))
 
 
-def from_recording(file: Path, board: Board, wanted: int, bars: Bars) -> Collected:
+def from_recording(
+    file: Path,
+    board: Board,
+    wanted: int,
+    bars: Bars,
+) -> Collected:
     """Chosen views of a recording. Raises PartError when it cannot be played."""
     recording = open_recording(file, RecordingOptions(rate_hz=5.0 if file.is_dir() else 30.0))
     chooser = Chooser(board, wanted)

@@ -57,7 +57,11 @@ def _ros(calibration: CameraCalibration, source: Path) -> str:
     return _yaml(table, calibration, source)
 
 
-def _matrix(rows: int, columns: int, numbers: list[float]) -> dict[str, Any]:
+def _matrix(
+    rows: int,
+    columns: int,
+    numbers: list[float],
+) -> dict[str, Any]:
     return {"rows": rows, "cols": columns, "data": numbers}
 
 
@@ -97,7 +101,11 @@ def _off_without_k3_px(camera: CameraModel) -> float:
     return float(np.hypot(off[:, 0], off[:, 1]).max())
 
 
-def _yaml(table: dict[str, Any], calibration: CameraCalibration, source: Path) -> str:
+def _yaml(
+    table: dict[str, Any],
+    calibration: CameraCalibration,
+    source: Path,
+) -> str:
     text = yaml.safe_dump(table, sort_keys=False, default_flow_style=None, width=100)
     return f"# {_said(calibration, source)}\n{text}"
 

@@ -74,7 +74,11 @@ def _file_of(options: CalibrateImportOptions, stand_in: StandIn) -> CameraCalibr
 
 
 def _report(
-    options: CalibrateImportOptions, name: str, lens: Lens, stand_in: StandIn, out: TextIO
+    options: CalibrateImportOptions,
+    name: str,
+    lens: Lens,
+    stand_in: StandIn,
+    out: TextIO,
 ) -> None:
     camera = stand_in.camera
     kind = lens.kind.replace("_", " ")

@@ -106,7 +106,11 @@ def _drawing(options: CalibrateMarkerOptions, cell_mm: float) -> str:
 
 
 def black_cells(
-    dictionary: str, marker_id: int, left_mm: float, top_mm: float, cell_mm: float
+    dictionary: str,
+    marker_id: int,
+    left_mm: float,
+    top_mm: float,
+    cell_mm: float,
 ) -> Sequence[str]:
     """One path of a marker's black cells, whose edges meet without a gap."""
     black = [

@@ -144,7 +144,11 @@ def _from_tape(file: Path, rig: Rig) -> MountCalibration:
     return _file_of(rig, T_v_c, *sigmas, f"tape measure: {file.name}")
 
 
-def _from_views(options: CalibrateMountOptions, rig: Rig, out: TextIO) -> MountCalibration:
+def _from_views(
+    options: CalibrateMountOptions,
+    rig: Rig,
+    out: TextIO,
+) -> MountCalibration:
     board = board_of(options)
     _check_board(board, rig)
     if options.images is None or options.other_images is None or options.other_camera is None:
@@ -154,7 +158,12 @@ def _from_views(options: CalibrateMountOptions, rig: Rig, out: TextIO) -> MountC
         )
     other = read_camera(options.other_camera)
     pairs, missing = _pairs(
-        options.images, options.other_images, rig, other.camera.model(), board, out
+        options.images,
+        options.other_images,
+        rig,
+        other.camera.model(),
+        board,
+        out,
     )
     out.write(f"{len(pairs)} pairs show the board twice and the marker\n")
     for name, what in missing:
@@ -169,7 +178,13 @@ def _from_views(options: CalibrateMountOptions, rig: Rig, out: TextIO) -> MountC
     rx, ry, rz = (math.degrees(s) for s in sigma[3:])
     rms = math.sqrt(sum(pair.rms_px**2 for pair in solution.pairs) / len(solution.pairs))
     return _file_of(
-        rig, solution.T_v_c1, (x, y, z), (rx, ry, rz), options.images.name, len(solution.pairs), rms
+        rig,
+        solution.T_v_c1,
+        (x, y, z),
+        (rx, ry, rz),
+        options.images.name,
+        len(solution.pairs),
+        rms,
     )
 
 
@@ -188,7 +203,12 @@ def _check_board(board: Board, rig: Rig) -> None:
 
 
 def _pairs(
-    first: Path, other: Path, rig: Rig, camera_3: CameraModel, board: Board, out: TextIO
+    first: Path,
+    other: Path,
+    rig: Rig,
+    camera_3: CameraModel,
+    board: Board,
+    out: TextIO,
 ) -> tuple[list[MountPair], list[tuple[str, str]]]:
     """Usable pairs, and the names of the others with what they lack. Raises CalibrationError for a
     wrong size.
@@ -208,7 +228,9 @@ def _pairs(
             color_1 = read_image(file)
             color_3 = read_image(others[file.stem])
             check_size(
-                (camera_1.width, camera_1.height), (color_1.shape[1], color_1.shape[0]), str(file)
+                (camera_1.width, camera_1.height),
+                (color_1.shape[1], color_1.shape[0]),
+                str(file),
             )
             check_size(
                 (camera_3.width, camera_3.height),
@@ -234,7 +256,10 @@ def _pairs(
 
 
 def solve_pairs(
-    pairs: list[MountPair], rig: Rig, camera_3: CameraModel, board: Board
+    pairs: list[MountPair],
+    rig: Rig,
+    camera_3: CameraModel,
+    board: Board,
 ) -> MountSolution:
     """Solve; pairs that do not fit the others are left out, the worst first. Raises
     CalibrationError.
@@ -272,7 +297,12 @@ def solve_pairs(
     return solution
 
 
-def _solve(pairs: list[MountPair], rig: Rig, camera_3: CameraModel, board: Board) -> MountSolution:
+def _solve(
+    pairs: list[MountPair],
+    rig: Rig,
+    camera_3: CameraModel,
+    board: Board,
+) -> MountSolution:
     if len(pairs) < FEWEST_PAIRS:
         raise CalibrationError(
             f"{len(pairs)} usable pairs, at least {FEWEST_PAIRS} are needed",
@@ -315,7 +345,10 @@ def _file_of(
 def _report(calibration: MountCalibration, out: TextIO) -> None:
     out.write("\nT_v_c1, the camera seen from the marker:\n")
     for axis, value, sigma in zip(
-        "xyz", calibration.position_v_m, calibration.position_sigma_m, strict=True
+        "xyz",
+        calibration.position_v_m,
+        calibration.position_sigma_m,
+        strict=True,
     ):
         out.write(f"  {axis} {1000.0 * value:9.2f} mm +- {1000.0 * sigma:.2f}\n")
     q = ", ".join(f"{v:.6f}" for v in calibration.q_v_c)

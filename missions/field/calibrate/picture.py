@@ -20,7 +20,11 @@ DPI = 100
 LONGEST_SHARE = 0.06  # of the image's width: length of the longest error as drawn
 
 
-def draw_calibration(collected: Collected, solution: Intrinsics | None, file: Path) -> None:
+def draw_calibration(
+    collected: Collected,
+    solution: Intrinsics | None,
+    file: Path,
+) -> None:
     """Draw as PNG; without a solution what can be drawn without it. Raises OSError when it cannot
     be written.
     """
@@ -87,7 +91,11 @@ def _draw_tilts(axes: Axes, solution: Intrinsics) -> None:
     rms = np.array([view.rms_px for view in solution.views])
     distances = np.array([view.distance_m for view in solution.views])
     drawn = axes.scatter(
-        tilts[:, 1], tilts[:, 0], c=distances, s=30.0 + 120.0 * rms / rms.max(), cmap="viridis"
+        tilts[:, 1],
+        tilts[:, 0],
+        c=distances,
+        s=30.0 + 120.0 * rms / rms.max(),
+        cmap="viridis",
     )
     axes.figure.colorbar(drawn, ax=axes, label="distance, m")
     reach = max(45.0, float(np.abs(tilts).max()) + 5.0)

@@ -124,7 +124,11 @@ _TIP = (
 )
 
 
-def _svg(size_mm: tuple[float, float], begin: str, parts: list[str]) -> str:
+def _svg(
+    size_mm: tuple[float, float],
+    begin: str,
+    parts: list[str],
+) -> str:
     wide, high = size_mm
     box = f'width="{wide}mm" height="{high}mm" viewBox="{-0.5 * wide} {-0.5 * high} {wide} {high}"'
     return f"<svg {box}>{begin}{''.join(parts)}</g></svg>"

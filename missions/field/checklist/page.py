@@ -36,7 +36,12 @@ svg text { font: 2.6px 'DejaVu Sans', sans-serif; fill: #000; stroke: none }
 """
 
 
-def checklist_page(rig: Rig, of: Flown, name: str, done: Mapping[str, str]) -> str:
+def checklist_page(
+    rig: Rig,
+    of: Flown,
+    name: str,
+    done: Mapping[str, str],
+) -> str:
     """Return the page as HTML.
 
     Args:
@@ -50,7 +55,12 @@ def checklist_page(rig: Rig, of: Flown, name: str, done: Mapping[str, str]) -> s
     return f"<!doctype html>\n{page}\n"
 
 
-def _body(rig: Rig, of: Flown, name: str, done: Mapping[str, str]) -> Iterator[str]:
+def _body(
+    rig: Rig,
+    of: Flown,
+    name: str,
+    done: Mapping[str, str],
+) -> Iterator[str]:
     yield f"<h1>{escape(rig.name)}</h1><p>{escape(rig.description)}</p>"
     if rig.harness is not None:
         yield "<p class='note'>This rig flies in a simulated world: a page to look at.</p>"

@@ -78,7 +78,11 @@ def _link(rig: Rig, role: Role) -> str:
     return " ".join(named) or "its own"
 
 
-def sections(rig: Rig, of: Flown, name: str) -> Iterator[Section]:
+def sections(
+    rig: Rig,
+    of: Flown,
+    name: str,
+) -> Iterator[Section]:
     """Yield what is to be ticked. ``name``: as ``--rig`` takes it."""
     yield "The day before", list(_before(rig, name))
     yield "At the site, propellers off", list(_site(rig, of, name))
@@ -99,7 +103,11 @@ def _before(rig: Rig, name: str) -> Iterator[str]:
     yield "batteries and transmitters charged, one more of each; the disks have room"
 
 
-def _site(rig: Rig, of: Flown, name: str) -> Iterator[str]:
+def _site(
+    rig: Rig,
+    of: Flown,
+    name: str,
+) -> Iterator[str]:
     mission = of.mission
     wind_mps = min(of.facts.site.wind_mps, most_wind_mps(of))
     yield f"wind {BLANK} m/s, not above {wind_mps:.1f}"
@@ -121,7 +129,11 @@ def _site(rig: Rig, of: Flown, name: str) -> Iterator[str]:
         yield "beacons: all are heard, none was moved since the map"
 
 
-def _take_off(rig: Rig, of: Flown, name: str) -> Iterator[str]:
+def _take_off(
+    rig: Rig,
+    of: Flown,
+    name: str,
+) -> Iterator[str]:
     yield f"batteries in: D1 {BLANK} %, D2 {BLANK} % (a flight ends at {_least(of)})"
     yield "propellers on, everybody back behind the fence"
     if radios(rig):

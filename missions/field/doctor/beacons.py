@@ -32,7 +32,9 @@ class BeaconReadings:
 
 
 async def check_beacons(
-    beacons: Beacons, wanted: Mapping[str, int], clock: Clock
+    beacons: Beacons,
+    wanted: Mapping[str, int],
+    clock: Clock,
 ) -> AsyncIterator[Finding]:
     """Open, listen, close.
 
@@ -90,11 +92,18 @@ def judged(heard: BeaconReadings, wanted: Mapping[str, int]) -> Iterator[Finding
         detail = f"positions are {1e3 * median:.0f} ms old when they come"
         old = median > OLD_S
         yield Finding(
-            "note" if old else "ok", "age", detail, "a faster port; see latency_s" if old else ""
+            "note" if old else "ok",
+            "age",
+            detail,
+            "a faster port; see latency_s" if old else "",
         )
 
 
-def _beacon(who: str, address: int, heard: BeaconReadings) -> Finding:
+def _beacon(
+    who: str,
+    address: int,
+    heard: BeaconReadings,
+) -> Finding:
     own = [fix for fix in heard.fixes if fix.address == address]
     if not own:
         fix = (
@@ -108,7 +117,10 @@ def _beacon(who: str, address: int, heard: BeaconReadings) -> Finding:
     detail = f"beacon {address}: {rate_hz:.1f} positions a second{quality}"
     if rate_hz < RARE_HZ:
         return Finding(
-            "note", who, detail, "a higher update rate or fewer beacons in the Dashboard"
+            "note",
+            who,
+            detail,
+            "a higher update rate or fewer beacons in the Dashboard",
         )
     if rated and float(np.median(rated)) < POOR:
         return Finding("note", who, detail, "a free line of sight to three stationary beacons")

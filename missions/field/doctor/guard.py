@@ -40,5 +40,8 @@ async def check_guard(watched: Watched) -> AsyncIterator[Finding]:
         else:
             fix = "the vehicle needs a position, and must send GLOBAL_POSITION_INT on this link"
             yield Finding(
-                "fault", "hears", f"{watched.name}: heartbeat, but no position in {WAIT_S:g} s", fix
+                "fault",
+                "hears",
+                f"{watched.name}: heartbeat, but no position in {WAIT_S:g} s",
+                fix,
             )

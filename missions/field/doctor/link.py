@@ -48,7 +48,11 @@ class PingExchange:
         return 1.0 - len(self.trips_ms.keys() & self.sent) / max(len(self.sent), 1)
 
 
-async def check_link(link: Link, clock: Clock, wait_s: float) -> AsyncIterator[Finding]:
+async def check_link(
+    link: Link,
+    clock: Clock,
+    wait_s: float,
+) -> AsyncIterator[Finding]:
     """Open, ping, answer pings, close. The other end may be a flight's or another ``doctor``'s,
     started meanwhile.
 
@@ -66,7 +70,11 @@ async def check_link(link: Link, clock: Clock, wait_s: float) -> AsyncIterator[F
             yield finding
 
 
-async def _exchanged(link: Link, clock: Clock, wait_s: float) -> PingExchange:
+async def _exchanged(
+    link: Link,
+    clock: Clock,
+    wait_s: float,
+) -> PingExchange:
     exchange = PingExchange()
     met = asyncio.Event()
     listening = asyncio.create_task(_listen(link, clock, exchange, met))
@@ -94,7 +102,12 @@ async def _exchanged(link: Link, clock: Clock, wait_s: float) -> PingExchange:
     return exchange
 
 
-async def _listen(link: Link, clock: Clock, exchange: PingExchange, met: asyncio.Event) -> None:
+async def _listen(
+    link: Link,
+    clock: Clock,
+    exchange: PingExchange,
+    met: asyncio.Event,
+) -> None:
     while True:
         received = await link.receive()
         message = received.message

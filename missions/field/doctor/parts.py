@@ -53,7 +53,11 @@ def part_tests(rig: Rig, role: Role) -> Iterator[PartTest]:
 
     def vehicle() -> AsyncIterator[Finding]:
         return check_flyer(
-            create(own.vehicle, context), context.clock, min_battery, fence, rig.height
+            create(own.vehicle, context),
+            context.clock,
+            min_battery,
+            fence,
+            rig.height,
         )
 
     def perception() -> AsyncIterator[Finding]:
@@ -116,7 +120,10 @@ def run_test(test: PartTest, limit_s: float = LIMIT_S) -> list[Finding]:
     except TimeoutError:
         found.append(
             Finding(
-                "fault", "", f"its test did not end within {limit_s:g} s", "see what holds it up"
+                "fault",
+                "",
+                f"its test did not end within {limit_s:g} s",
+                "see what holds it up",
             )
         )
     return [replace(finding, name=f"{test.name} {finding.name}".strip()) for finding in found]

@@ -27,7 +27,10 @@ def check_room(name: str) -> Finding:
         detail += f"; record = all: about {rate:.0f} MB a minute and drone"
     if disk < DISK_MIB:
         return Finding(
-            "fault", "room", detail, f"free {DISK_MIB} MiB here, or name another folder with --out"
+            "fault",
+            "room",
+            detail,
+            f"free {DISK_MIB} MiB here, or name another folder with --out",
         )
     if disk < 2.0 * rate * MINUTES:
         return Finding(

@@ -62,7 +62,9 @@ def open_findings(stream: TextIO) -> Generator[FindingsTable, None, None]:
     if stream.isatty():
         live = FindingsTable()
         with Live(
-            get_renderable=live.render, console=Console(file=stream), refresh_per_second=8
+            get_renderable=live.render,
+            console=Console(file=stream),
+            refresh_per_second=8,
         ) as shown:
             try:
                 yield live

@@ -157,7 +157,10 @@ async def _rangefinder(vehicle: Any, height: HeightFacts | None) -> list[Finding
         fix = "see that the autopilot sends it (ArduPilot: RNGFND1_TYPE and RNGFND1_ORIENT 25; PX4: its driver)"
         return [
             Finding(
-                "fault", "rangefinder", wrong, f"{fix}, or leave rangefinder_max_m out of [height]"
+                "fault",
+                "rangefinder",
+                wrong,
+                f"{fix}, or leave rangefinder_max_m out of [height]",
             )
         ]
     return [Finding("ok", "rangefinder", said)]
@@ -167,7 +170,10 @@ def _charge(level: float, min_battery: float) -> Finding:
     if not math.isfinite(level):
         fix = "set its capacity (PX4: BAT1_CAPACITY, ArduPilot: BATT_CAPACITY), or battery_id in the vehicle's table"
         return Finding(
-            "fault", "battery", "the vehicle tells no percentage of the battery that flies it", fix
+            "fault",
+            "battery",
+            "the vehicle tells no percentage of the battery that flies it",
+            fix,
         )
     detail = f"{100.0 * level:.0f} %, the mission ends at {100.0 * min_battery:.0f} %"
     if level > min_battery:
@@ -199,7 +205,12 @@ async def _pilot_and_fence(vehicle: Any, fence: Geofence | None) -> list[Finding
     return found
 
 
-def check_vehicle(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> Iterator[Finding]:
+def check_vehicle(
+    rig: Rig,
+    role: Role,
+    set_parameters: bool,
+    folder: Path,
+) -> Iterator[Finding]:
     """Connect, compare, set, record in ``folder``. Nothing moves."""
     try:
         yield from asyncio.run(_check(rig, role, set_parameters, folder))
@@ -207,7 +218,12 @@ def check_vehicle(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> I
         yield Finding("fault", role.value, str(error), error.remedy)
 
 
-async def _check(rig: Rig, role: Role, set_parameters: bool, folder: Path) -> list[Finding]:
+async def _check(
+    rig: Rig,
+    role: Role,
+    set_parameters: bool,
+    folder: Path,
+) -> list[Finding]:
     vehicle: Any = create(rig.role(role).vehicle, part_context(rig, role))
     if not hasattr(vehicle, "parameter_differences"):
         return [Finding("ok", role.value, "this vehicle has no parameters to compare")]
@@ -253,7 +269,12 @@ async def _missing_fence(vehicle: Any, fence: Geofence) -> list[Difference]:
     return [Difference(name, value, before.get(name)) for name, value in plan.set_to.items()]
 
 
-def _record(folder: Path, rig: Rig, role: Role, changed: Sequence[Difference]) -> Path | None:
+def _record(
+    folder: Path,
+    rig: Rig,
+    role: Role,
+    changed: Sequence[Difference],
+) -> Path | None:
     """Records what each parameter was and is now, so that it can be undone."""
     if not changed:
         return None

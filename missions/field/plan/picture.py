@@ -37,7 +37,12 @@ def draw_plan(of: Flown, path: Path) -> None:
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def _draw(axes: Axes, of: Flown, across: int, label: str) -> None:
+def _draw(
+    axes: Axes,
+    of: Flown,
+    across: int,
+    label: str,
+) -> None:
     """Draw one view. ``across``: the axis of ``h`` that goes up the page."""
     facts = of.facts
     mission = of.mission
@@ -67,7 +72,12 @@ def _draw(axes: Axes, of: Flown, across: int, label: str) -> None:
     marker = flat(facts.sender.mount.T_b_v.t)
     axes.plot(*marker, marker="s", markersize=5, color=COUNT)
     axes.annotate(
-        "marker", marker, xytext=(4, 6), textcoords="offset points", color=COUNT, fontsize=8
+        "marker",
+        marker,
+        xytext=(4, 6),
+        textcoords="offset points",
+        color=COUNT,
+        fontsize=8,
     )
     if across == DOWN:
         axes.axhline(0.0, color=DIM, linewidth=1.0)
@@ -78,7 +88,12 @@ def _draw(axes: Axes, of: Flown, across: int, label: str) -> None:
     tidy(axes)
 
 
-def _draw_target(axes: Axes, of: Flown, middle: tuple[float, float], across: int) -> None:
+def _draw_target(
+    axes: Axes,
+    of: Flown,
+    middle: tuple[float, float],
+    across: int,
+) -> None:
     target = of.facts.target
     high_m = target.height_m if across == DOWN else target.span_m
     corner = middle[0] - 0.5 * target.span_m, middle[1] - 0.5 * high_m
@@ -86,7 +101,12 @@ def _draw_target(axes: Axes, of: Flown, middle: tuple[float, float], across: int
     axes.annotate("target", middle, xytext=(6, -14), textcoords="offset points", fontsize=8)
 
 
-def _rim(eye: Eye, T_h_c: Pose, reach_m: float, across: int) -> list[Floats]:
+def _rim(
+    eye: Eye,
+    T_h_c: Pose,
+    reach_m: float,
+    across: int,
+) -> list[Floats]:
     """Return the outline of what a camera sees, out to a reach, in the plane that is drawn."""
     camera = eye.camera
     angles = np.linspace(-1.0, 1.0, 21)

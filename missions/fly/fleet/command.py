@@ -51,7 +51,11 @@ def run(options: RelayOptions | TeamOptions) -> int:
 
 
 def fly(
-    rig: Rig, config: RelayConfig, options: HoursOptions, out: Path, say: Tell
+    rig: Rig,
+    config: RelayConfig,
+    options: HoursOptions,
+    out: Path,
+    say: Tell,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Fly a relay, or a team, to its end on the rig's harness; the logs are in ``out``. Returns
     summary and record.
@@ -65,7 +69,11 @@ def fly(
     name = name_of(config)
     harness: RelayHarness = import_factory(config.harness, rig.where(f"[{name}] harness"))()
 
-    async def main(ground: RelayField, stop: asyncio.Event, emit: Emit) -> None:
+    async def main(
+        ground: RelayField,
+        stop: asyncio.Event,
+        emit: Emit,
+    ) -> None:
         del emit
         await base.run(ground, stop, program)
 

@@ -31,7 +31,11 @@ def judge(base: Crew[Any, Any], report: RelayReport) -> tuple[Outcome, str]:
     return for_lateness(report, *_cause_of(report, base.outcome, base.detail))
 
 
-def _cause_of(report: RelayReport, outcome: Outcome, detail: str) -> tuple[Outcome, str]:
+def _cause_of(
+    report: RelayReport,
+    outcome: Outcome,
+    detail: str,
+) -> tuple[Outcome, str]:
     """The harness's own failure and violated monitors first.
 
     Args:
@@ -48,7 +52,12 @@ def _cause_of(report: RelayReport, outcome: Outcome, detail: str) -> tuple[Outco
     return outcome, detail
 
 
-def leave(summary: Values, record: Values, folder: Path, picture_too: bool) -> int:
+def leave(
+    summary: Values,
+    record: Values,
+    folder: Path,
+    picture_too: bool,
+) -> int:
     """Write what came of a run and show it; return the exit code, that of a full disk where it
     cannot be written.
     """
@@ -77,7 +86,11 @@ def leave(summary: Values, record: Values, folder: Path, picture_too: bool) -> i
     return exit_code
 
 
-def _page(name: str, summary: Values, picture: Path) -> PageOf:
+def _page(
+    name: str,
+    summary: Values,
+    picture: Path,
+) -> PageOf:
     asked = " ".join(
         f"--{key} {summary[key]}"
         for key in ("rig", "drones", "targets", "hours", "seed")

@@ -20,14 +20,21 @@ MINUTE_S = 60.0
 MOST_ROWS = 40  # that make the picture higher
 
 
-def draw(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path) -> None:
+def draw(
+    record: Mapping[str, Any],
+    summary: Mapping[str, Any],
+    path: Path,
+) -> None:
     """Write a PNG of what ``relay.json`` or ``team.json`` and the run's ``summary.json`` say."""
     one_target = len(record["targets"]) == 1
     rows = min(len(record["drones" if one_target else "targets"]), MOST_ROWS)
     height_in = min(30.0, 6.4 + 0.42 * max(0, rows - 3))
     figure = Figure(figsize=(12.0, height_in), dpi=110, layout="constrained")
     who, batteries, gaps = figure.subplots(
-        3, 1, sharex=True, height_ratios=(max(1.1, 0.35 * rows), 2.0, 1.0)
+        3,
+        1,
+        sharex=True,
+        height_ratios=(max(1.1, 0.35 * rows), 2.0, 1.0),
     )
     unit_s, unit = (HOUR_S, "h") if summary["simulated_s"] >= HOUR_S else (MINUTE_S, "min")
     percent = summary["observed_percent"]["all"]
@@ -48,7 +55,11 @@ def draw(record: Mapping[str, Any], summary: Mapping[str, Any], path: Path) -> N
     figure.savefig(path)
 
 
-def _draw_flights(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
+def _draw_flights(
+    axes: Axes,
+    record: Mapping[str, Any],
+    unit_s: float,
+) -> None:
     """A thin line in the air, a thick bar while responsible."""
     names: Sequence[str] = record["drones"]
     for row, name in enumerate(names):
@@ -65,7 +76,13 @@ def _draw_flights(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
     for times, marker, label in ((failed, "x", "leg failed"), (alarms, "v", "no relief ready")):
         if times:
             axes.plot(
-                times, [-0.62] * len(times), marker, color=FAULT, ms=6, label=label, ls="none"
+                times,
+                [-0.62] * len(times),
+                marker,
+                color=FAULT,
+                ms=6,
+                label=label,
+                ls="none",
             )
     if failed or alarms:
         axes.legend(fontsize=8, loc="upper right", framealpha=0.9, ncols=2)
@@ -75,7 +92,10 @@ def _draw_flights(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
 
 
 def _spans(
-    samples: Sequence[Any], column: int, name: str, unit_s: float
+    samples: Sequence[Any],
+    column: int,
+    name: str,
+    unit_s: float,
 ) -> list[tuple[float, float]]:
     """(begin, length) in units of time from each sample that names a drone in a column to the next
     one.
@@ -87,7 +107,12 @@ def _spans(
     return spans
 
 
-def _draw_targets(axes: Axes, record: Mapping[str, Any], end_s: float, unit_s: float) -> None:
+def _draw_targets(
+    axes: Axes,
+    record: Mapping[str, Any],
+    end_s: float,
+    unit_s: float,
+) -> None:
     """A bar for each drone while it has the target; red above it, when nobody truly looked."""
     rows = {name: row for row, name in enumerate(record["targets"])}
     colours = {name: COLOURS[row % len(COLOURS)] for row, name in enumerate(record["drones"])}
@@ -106,7 +131,13 @@ def _draw_targets(axes: Axes, record: Mapping[str, Any], end_s: float, unit_s: f
         if few and to_s - since_s > 0.03 * end_s:
             middle = since_s / unit_s + 0.5 * long
             axes.text(
-                middle, row, spell["drone"], ha="center", va="center", fontsize=8, color="white"
+                middle,
+                row,
+                spell["drone"],
+                ha="center",
+                va="center",
+                fontsize=8,
+                color="white",
             )
     for name, spells in record["unobserved"].items():
         bars = [(since_s / unit_s, (to_s - since_s) / unit_s) for since_s, to_s in spells]
@@ -114,11 +145,17 @@ def _draw_targets(axes: Axes, record: Mapping[str, Any], end_s: float, unit_s: f
     axes.set_yticks(range(len(rows)) if few else [], list(rows) if few else [])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_title(
-        "who has which target (red above: nobody truly looked at it)", loc="left", fontsize=10
+        "who has which target (red above: nobody truly looked at it)",
+        loc="left",
+        fontsize=10,
     )
 
 
-def _draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> None:
+def _draw_batteries(
+    axes: Axes,
+    record: Mapping[str, Any],
+    unit_s: float,
+) -> None:
     """The charge of each drone over time, in units of ``unit_s``, and the reserve."""
     times = [sample[0] / unit_s for sample in record["samples"]]
     names = record["drones"]
@@ -139,7 +176,12 @@ def _draw_batteries(axes: Axes, record: Mapping[str, Any], unit_s: float) -> Non
     tidy(axes, DIM)
 
 
-def _draw_gaps(axes: Axes, record: Mapping[str, Any], bound_s: float, unit_s: float) -> None:
+def _draw_gaps(
+    axes: Axes,
+    record: Mapping[str, Any],
+    bound_s: float,
+    unit_s: float,
+) -> None:
     legs = [leg for leg in record["legs"] if leg["gap_s"] is not None and leg["held_s"] is not None]
     axes.plot(
         [leg["held_s"] / unit_s for leg in legs],

@@ -45,7 +45,11 @@ from missions.ground.team_config import relay_of, team_of
 from path.messages import Role
 
 
-def flight_of(rig: Rig, config: RelayConfig, ground: Ground) -> DroneProgram:
+def flight_of(
+    rig: Rig,
+    config: RelayConfig,
+    ground: Ground,
+) -> DroneProgram:
     """Return the program of any drone of a relay, or of a team."""
 
     def program(name: str, given: ProgramContext) -> DroneFlight:
@@ -56,7 +60,12 @@ def flight_of(rig: Rig, config: RelayConfig, ground: Ground) -> DroneProgram:
     return program
 
 
-def processes_of(rig: Rig, base: Base | TeamBase, out: Path, whole_log: bool) -> DroneProcesses:
+def processes_of(
+    rig: Rig,
+    base: Base | TeamBase,
+    out: Path,
+    whole_log: bool,
+) -> DroneProcesses:
     """Return how the harness starts the processes of the drones."""
     config = base.config
     targets = len(config.targets) if isinstance(config, TeamConfig) else ""
@@ -81,7 +90,11 @@ class RelayedLog:
     """
 
     def __init__(
-        self, log: Log, name: str, whole: bool, say: Callable[[str], None] = tell_line
+        self,
+        log: Log,
+        name: str,
+        whole: bool,
+        say: Callable[[str], None] = tell_line,
     ) -> None:
         self._log = log
         self._say = say
@@ -90,7 +103,12 @@ class RelayedLog:
         self._encoder = msgspec.json.Encoder(enc_hook=encode_other)
         self._shown_ns: dict[str, int] = {}
 
-    def write(self, topic: str, stamp_ns: int, record: Mapping[str, Any]) -> None:
+    def write(
+        self,
+        topic: str,
+        stamp_ns: int,
+        record: Mapping[str, Any],
+    ) -> None:
         if self._whole or topic not in OFTEN:
             self._log.write(topic, stamp_ns, record)
         if stamp_ns - self._shown_ns.get(topic, -(1 << 62)) >= WATCHED.get(topic, math.inf) * 1e9:
@@ -100,7 +118,12 @@ class RelayedLog:
             )
             self._say(shown.decode())
 
-    def image(self, topic: str, stamp_ns: int, image: Any) -> None:
+    def image(
+        self,
+        topic: str,
+        stamp_ns: int,
+        image: Any,
+    ) -> None:
         if self._whole:
             self._log.image(topic, stamp_ns, image)
 
@@ -150,7 +173,13 @@ async def _fly(
     return await flight_of(rig, config, base)(name, given).run()
 
 
-def fly(rig: Rig, config: RelayConfig, name: str, out: Path, whole: bool) -> None:
+def fly(
+    rig: Rig,
+    config: RelayConfig,
+    name: str,
+    out: Path,
+    whole: bool,
+) -> None:
     with McapLog(new_part(out, name), name) as log, Said(sys.stdout) as say:
         store = StateFile(out / f"{name}.state.json", None)
         relayed = RelayedLog(log, name, whole, say)
@@ -159,7 +188,12 @@ def fly(rig: Rig, config: RelayConfig, name: str, out: Path, whole: bool) -> Non
         say(encode_event(with_log(result, log.settled() or (lost if say.lost else None))))
 
 
-def guard(rig: Rig, config: RelayConfig, name: str, out: Path) -> int:
+def guard(
+    rig: Rig,
+    config: RelayConfig,
+    name: str,
+    out: Path,
+) -> int:
     """Watch the drone's vehicle until stdin is closed."""
     drone = next(drone for drone in config.drones if drone.name == name)
     own = pair_of(rig, drone, drone)

@@ -141,7 +141,11 @@ def _percent(observed_s: float, of_s: float) -> float | None:
 # --- the record ---
 
 
-def record_of(base: Crew[Any, Any], report: RelayReport, outcome: Outcome) -> dict[str, Any]:
+def record_of(
+    base: Crew[Any, Any],
+    report: RelayReport,
+    outcome: Outcome,
+) -> dict[str, Any]:
     """Who had which target when, every leg, every flight, every word to the crew, and the
     batteries now and then.
     """

@@ -69,7 +69,7 @@ def run(options: GuardOptions) -> int:
         logs = {role: folder / f"{role.value}.guard.mcap" for role in roles}
         return asyncio.run(
             watch_vehicles(
-                rig, config, specs, logs, until_input_ends=until_input_ends, while_flown=options.while_flown
+                rig, config, specs, logs, until_input_ends=until_input_ends, while_flown=options.while_flown,
             )
         )  # fmt: skip
 
@@ -83,7 +83,11 @@ def guard_of(rig: Rig, role: Role) -> PartSpec:
     return spec
 
 
-def as_flown(rig: Rig, role: Role, spec: PartSpec) -> PartSpec:
+def as_flown(
+    rig: Rig,
+    role: Role,
+    spec: PartSpec,
+) -> PartSpec:
     """Return the guard with what its vehicle's table says of heights and of the battery that flies.
 
     Two sources of heights would be two fences, and two batteries two limits.

@@ -116,7 +116,9 @@ def kinds_of(rig: Rig) -> tuple[str, ...]:
 
 
 def cases(
-    role: str, only: Sequence[str], kinds: Sequence[str] = tuple(KINDS)
+    role: str,
+    only: Sequence[str],
+    kinds: Sequence[str] = tuple(KINDS),
 ) -> Iterator[tuple[str, Role, str]]:
     """(fault, role, moment) of every flight; ``only``: those whose name has one of these in it."""
     every = [

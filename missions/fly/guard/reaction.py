@@ -65,7 +65,12 @@ def named(fault: str, role: Role) -> str:
 
 
 def read_reaction(
-    out: Path, fault: str, role: Role, moment: str, outcome: str, violations: dict[str, int]
+    out: Path,
+    fault: str,
+    role: Role,
+    moment: str,
+    outcome: str,
+    violations: dict[str, int],
 ) -> Reaction:
     """Read what became of the vehicle, by the world's own log; why, by the guard's."""
     at_ns: int | None = None
@@ -89,7 +94,17 @@ def read_reaction(
             last_ns = record.record["last_ns"]
     if at_ns is None:
         return Reaction(
-            fault, role.value, moment, "not reached", None, None, None, (), "", outcome, violations
+            fault,
+            role.value,
+            moment,
+            "not reached",
+            None,
+            None,
+            None,
+            (),
+            "",
+            outcome,
+            violations,
         )
     before = [mode for stamp_ns, mode, armed in modes if stamp_ns <= at_ns and armed]
     later = [entry for entry in modes if entry[0] > at_ns]

@@ -19,7 +19,12 @@ _begun: list[subprocess.Popen[bytes]] = []  # held: they may go on longer than t
 How = Literal["start", "expect", "none"]
 
 
-def with_guard(rig: Rig, role: Role, how: How, folder: Path) -> Rig:
+def with_guard(
+    rig: Rig,
+    role: Role,
+    how: How,
+    folder: Path,
+) -> Rig:
     """The rig as the role is to fly it, its guard begun when it is to be and none is there yet.
 
     The guard is no child to be ended with the role: it is in a session of its own, which neither

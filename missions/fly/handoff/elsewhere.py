@@ -45,7 +45,12 @@ def events(role: Role, folder: Path) -> Iterator[Progress | RoleResult | None]:
         yield None
 
 
-def _event(role: Role, topic: str, stamp_ns: int, record: dict[str, Any]) -> Progress | RoleResult:
+def _event(
+    role: Role,
+    topic: str,
+    stamp_ns: int,
+    record: dict[str, Any],
+) -> Progress | RoleResult:
     if topic == "phase":
         note = record.get("note", "")
         return Progress(role, stamp_ns, record["phase"], 0, 0, None, None, None, 0.0, False, note)
@@ -62,7 +67,13 @@ class Waiting:
         typed: what the person is to type.
     """
 
-    def __init__(self, role: Role, wait_s: float, typed: str, now_s: float) -> None:
+    def __init__(
+        self,
+        role: Role,
+        wait_s: float,
+        typed: str,
+        now_s: float,
+    ) -> None:
         self._role = role
         self._wait_s = wait_s
         self._typed = typed
@@ -85,7 +96,11 @@ class Waiting:
         return Progress(self._role, 0, ABSENT, 0, 0, None, None, None, 0.0, False, note)
 
 
-def _nobody(role: Role, outcome: Outcome, detail: str) -> RoleResult:
+def _nobody(
+    role: Role,
+    outcome: Outcome,
+    detail: str,
+) -> RoleResult:
     """Return the end of a program that never was: its vehicle stands where it stood."""
     return RoleResult(role, outcome, detail, responsible=False, landed=True)
 
@@ -111,7 +126,9 @@ def main() -> None:
             event = waiting.news(now_s)
             if told_s:
                 event = _nobody(
-                    role, Outcome.INTERRUPTED, "it ended before anybody started its program"
+                    role,
+                    Outcome.INTERRUPTED,
+                    "it ended before anybody started its program",
                 )
         if event is not None:
             print(encode_event(event), flush=True)

@@ -32,7 +32,12 @@ _A_HARNESS = "write one as the rigs of `path-handoff rigs` do, or leave it out"
 _CONSEQUENCES = frozenset({Outcome.PEER_LOST, Outcome.PEER_ABORTED})
 
 
-def rig_as_asked(rig: str, errors: str | None, scene: str | None, slow: float | None) -> Rig:
+def rig_as_asked(
+    rig: str,
+    errors: str | None,
+    scene: str | None,
+    slow: float | None,
+) -> Rig:
     """The rig of this name or file with what was asked for otherwise. Raises PartError."""
     return with_slow(with_scene(with_errors(rig_library.load(rig), errors), scene), slow)
 
@@ -120,7 +125,15 @@ def fly_once(
 
     attack = [sys.executable, "-m", "missions.proofs.verify.attack"]
     request = FlightRequest(
-        rig, out, seed, tuple(faults), programs.main, command, emit, attack, guard_command
+        rig,
+        out,
+        seed,
+        tuple(faults),
+        programs.main,
+        command,
+        emit,
+        attack,
+        guard_command,
     )
     with claimed(out, RUN):
         report = fly_watched(harness, request)
@@ -152,7 +165,11 @@ def fly_once(
     return facts
 
 
-def reported(facts: RunFacts, folder: Path, report: Callable[[], object]) -> int:
+def reported(
+    facts: RunFacts,
+    folder: Path,
+    report: Callable[[], object],
+) -> int:
     """Make the report of a run that has been flown; returns the run's exit code, whatever becomes
     of the report.
     """

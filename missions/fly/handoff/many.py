@@ -27,7 +27,11 @@ from missions.look.report.records import RUN, SUMMARY, RunFolderError
 from missions.look.report.series_page import SERIES_PAGE, SERIES_SIGN, write_series_page
 
 
-def fly_many(rig: Rig, options: HandoffOptions, folder: Path) -> int:
+def fly_many(
+    rig: Rig,
+    options: HandoffOptions,
+    folder: Path,
+) -> int:
     """Run with seeds from ``options.seed`` on, each in a folder of its own; 0 when nothing unsafe
     happened in any.
 

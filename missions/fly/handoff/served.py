@@ -51,13 +51,21 @@ def tell_commands(rig: Rig, folder: Path) -> None:
     sys.stdout.flush()
 
 
-def typed(rig: Rig, role: Role, folder: Path) -> str:
+def typed(
+    rig: Rig,
+    role: Role,
+    folder: Path,
+) -> str:
     """Return what a person types in another shell, for this world."""
     words = ["path-handoff", role.value, "--rig", rig_library.name_of(rig), "--out", str(folder)]
     return f"{RUN_VARIABLE}=run-{os.getpid()} {shlex.join(words)}"
 
 
-def stand_in(rig: Rig, role: Role, folder: Path) -> list[str]:
+def stand_in(
+    rig: Rig,
+    role: Role,
+    folder: Path,
+) -> list[str]:
     """Return the command of what stands in for a drone's program that is another shell's."""
     module = "missions.fly.handoff.elsewhere"
     return [

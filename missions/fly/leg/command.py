@@ -24,11 +24,17 @@ def run(options: RoleOptions) -> int:
     part is refused.
     """
     return fly_from_drone(
-        options, Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER, fly_role
+        options,
+        Role.RECEIVER if isinstance(options, ReceiverOptions) else Role.SENDER,
+        fly_role,
     )
 
 
-def fly_from_drone(options: RoleOptions, role: Role, main: RoleMain) -> int:
+def fly_from_drone(
+    options: RoleOptions,
+    role: Role,
+    main: RoleMain,
+) -> int:
     """The same with any program of a role."""
     rig = rig_library.load(options.rig, world=False)
     record = FirstFlights(rig)

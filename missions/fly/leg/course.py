@@ -21,7 +21,10 @@ _STAYS = frozenset({Outcome.PILOT_OVERRIDE, Outcome.CRASHED})
 
 
 async def fly_course(
-    session: RoleSession, course: Course, recover: Recovery, good: Outcome = Outcome.COMMITTED
+    session: RoleSession,
+    course: Course,
+    recover: Recovery,
+    good: Outcome = Outcome.COMMITTED,
 ) -> RoleResult:
     """Run a mission to its end: the course, then the recovery that brings the vehicle down.
 
@@ -56,7 +59,9 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
     error, a stop) decides the outcome.
     """
     session.log.write(
-        "/setup", session.now_ns(), setup_record(session.rig, session.role, session.config)
+        "/setup",
+        session.now_ns(),
+        setup_record(session.rig, session.role, session.config),
     )
     for beside in (
         session.pump(),
@@ -90,7 +95,11 @@ async def run_course(session: RoleSession, course: Course) -> MissionEnd | None:
     return end
 
 
-async def run_recovery(session: RoleSession, recover: Recovery, end: MissionEnd | None) -> bool:
+async def run_recovery(
+    session: RoleSession,
+    recover: Recovery,
+    end: MissionEnd | None,
+) -> bool:
     """Brings the vehicle down, and returns whether the script landed it."""
     try:
         return await unless_exit(recover(end))
@@ -109,7 +118,10 @@ async def close_session(session: RoleSession) -> None:
 
 
 def conclude(
-    session: RoleSession, end: MissionEnd | None, landed: bool, good: Outcome = Outcome.COMMITTED
+    session: RoleSession,
+    end: MissionEnd | None,
+    landed: bool,
+    good: Outcome = Outcome.COMMITTED,
 ) -> RoleResult:
     """The program's last records."""
     end = overridden(session, end)
@@ -126,7 +138,12 @@ def conclude(
     )
     session.enter(Phase.DONE, outcome.label)
     return RoleResult(
-        session.role, outcome, detail, session.responsible, landed, ended_s=session.ended_s
+        session.role,
+        outcome,
+        detail,
+        session.responsible,
+        landed,
+        ended_s=session.ended_s,
     )
 
 

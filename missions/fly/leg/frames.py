@@ -19,7 +19,11 @@ class Frames:
     """
 
     def __init__(
-        self, perception: Perception, clock: Clock, config: MissionConfig, log: Log
+        self,
+        perception: Perception,
+        clock: Clock,
+        config: MissionConfig,
+        log: Log,
     ) -> None:
         self._perception = perception
         self._clock = clock

@@ -13,7 +13,9 @@ from path.arrays import Image
 from path.observations import Box
 
 NOTHING = Question(
-    0, 0, (Shown(0, Box(8.0, 8.0, 8.0, 8.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0),)
+    0,
+    0,
+    (Shown(0, Box(8.0, 8.0, 8.0, 8.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0),),
 )
 """A question about nothing, for a first picture before setpoints wait for it: the library's drawing
 and its letters may have to come from the disk, for 0.4 s."""
@@ -34,7 +36,13 @@ def numbered(image: Image, question: Question) -> Image:
             cv2.rectangle(drawn, (left, top), (right, bottom), ink, width)
             above = left, max(24, top - 8)
             cv2.putText(
-                drawn, str(each.number), above, cv2.FONT_HERSHEY_SIMPLEX, 1.0, ink, 2 * width
+                drawn,
+                str(each.number),
+                above,
+                cv2.FONT_HERSHEY_SIMPLEX,
+                1.0,
+                ink,
+                2 * width,
             )
     return drawn
 

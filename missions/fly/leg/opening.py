@@ -33,7 +33,11 @@ from path.messages import Role
 
 
 async def open_session(
-    stack: AsyncExitStack, rig: Rig, role: Role, config: MissionConfig, given: ProgramContext
+    stack: AsyncExitStack,
+    rig: Rig,
+    role: Role,
+    config: MissionConfig,
+    given: ProgramContext,
 ) -> RoleSession:
     """Make and open a role's parts, closed again by ``stack``; nothing is compiled any more after.
     Raises PartError.
@@ -57,7 +61,9 @@ async def open_session(
     if own.guard is not None:
         line = guard_line_of(own.guard, role, context.clock, harness)
         guard = UnderGuard(
-            await stack.enter_async_context(line), context.clock, config.guard_process
+            await stack.enter_async_context(line),
+            context.clock,
+            config.guard_process,
         )
     operator: Operator | None = None
     if own.operator is not None:
@@ -66,13 +72,26 @@ async def open_session(
     parts = (context.clock, vehicle, perception, link)
     stages = Stages() if harness is None else None
     session = RoleSession(
-        rig, role, config, given.log, given.emit, given.stop, parts, entropy, guard, stages
+        rig,
+        role,
+        config,
+        given.log,
+        given.emit,
+        given.stop,
+        parts,
+        entropy,
+        guard,
+        stages,
     )
     session.operator = operator
     return session
 
 
-async def _opened(stack: AsyncExitStack, spec: PartSpec, context: PartContext) -> Any:
+async def _opened(
+    stack: AsyncExitStack,
+    spec: PartSpec,
+    context: PartContext,
+) -> Any:
     """Make and open a part. Raises PartError, also for one whose opening ends the program."""
     try:
         return await stack.enter_async_context(create(spec, context))
@@ -99,7 +118,11 @@ def leave_opening(harness: InProcess | None) -> None:
         give_back()
 
 
-def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Random:
+def entropy_of(
+    name: str,
+    clock: Clock,
+    harness: InProcess | None,
+) -> random.Random:
     """Return a program's source of chance; in virtual time from the seed, and after a restart not
     the same again.
     """
@@ -111,7 +134,10 @@ def entropy_of(name: str, clock: Clock, harness: InProcess | None) -> random.Ran
 
 
 def guard_line_of(
-    guard: PartSpec, role: Role, clock: Clock, harness: InProcess | None
+    guard: PartSpec,
+    role: Role,
+    clock: Clock,
+    harness: InProcess | None,
 ) -> GuardLine:
     """A program's way to its role's guard."""
     return (
@@ -121,7 +147,11 @@ def guard_line_of(
     )
 
 
-async def fly(rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
+async def fly(
+    rig: Rig,
+    role: Role,
+    given: ProgramContext,
+) -> RoleResult:
     """Fly a role from the opening of its parts to the vehicle on the ground. Raises PartError."""
     async with AsyncExitStack() as stack:
         session = await open_session(stack, rig, role, mission_of(rig), given)

@@ -26,7 +26,11 @@ from missions.ground.shown import Said
 from path.messages import Role
 
 
-async def fly_role(rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
+async def fly_role(
+    rig: Rig,
+    role: Role,
+    given: ProgramContext,
+) -> RoleResult:
     """The program of either role in the world's own process
     (``flight.harness.flights.RoleMain``).
     """
@@ -70,7 +74,11 @@ def run_role(
             say(encode_event(event))
 
         given = ProgramContext(
-            log, to_parent if parent else emit, asyncio.Event(), None, StateFile(state, role)
+            log,
+            to_parent if parent else emit,
+            asyncio.Event(),
+            None,
+            StateFile(state, role),
         )
         result = asyncio.run(_run(rig, role, given, parent, main))
         result = with_log(result, log.settled())
@@ -80,7 +88,11 @@ def run_role(
 
 
 async def _run(
-    rig: Rig, role: Role, given: ProgramContext, parent: bool, main: RoleMain
+    rig: Rig,
+    role: Role,
+    given: ProgramContext,
+    parent: bool,
+    main: RoleMain,
 ) -> RoleResult:
     stop_on_signals(given.stop.set)
     if parent:

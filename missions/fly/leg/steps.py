@@ -174,7 +174,11 @@ async def take_off(session: RoleSession, height_m: float) -> None:
     session.spawn(session.pilot.run())
 
 
-async def bring_down(session: RoleSession, end: MissionEnd | None, way_out: Anchor) -> bool:
+async def bring_down(
+    session: RoleSession,
+    end: MissionEnd | None,
+    way_out: Anchor,
+) -> bool:
     """Leave the other drone's way, to ``way_out``, then land. Returns whether the vehicle is down.
 
     A way out that leads out of a site ends before its edge.

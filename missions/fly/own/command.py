@@ -34,7 +34,12 @@ def run(options: FlyOptions) -> int:
     """
     if options.drone != "both":
         asked = RoleOptions(
-            options.rig, options.out, options.console, options.state, options.guard, options.live
+            options.rig,
+            options.out,
+            options.console,
+            options.state,
+            options.guard,
+            options.live,
         )
         return fly_from_drone(asked, Role(options.drone), OwnMission(load_mission(options.mission)))
     name_simulators(options)
@@ -50,7 +55,12 @@ def run(options: FlyOptions) -> int:
 
 
 def fly_mission(
-    mission: Path, rig: Rig, seed: int, faults: tuple[str, ...], out: Path, emit: Emit
+    mission: Path,
+    rig: Rig,
+    seed: int,
+    faults: tuple[str, ...],
+    out: Path,
+    emit: Emit,
 ) -> RunFacts:
     """One run of a mission's file to its end, as ``path-handoff fly``. Raises PartError."""
     return fly_once(rig, seed, faults, out, emit, programs_of(mission))
@@ -63,5 +73,8 @@ def programs_of(mission: Path) -> FlightPrograms:
     own = OwnMission(load_mission(mission))
     file = str(mission.resolve())
     return FlightPrograms(
-        own, lambda role: ("fly", file, "--drone", role.value), Outcome.FLOWN, mission=str(mission)
+        own,
+        lambda role: ("fly", file, "--drone", role.value),
+        Outcome.FLOWN,
+        mission=str(mission),
     )

@@ -192,7 +192,11 @@ class Drone:
     # --- handing over
 
     async def hand_over(
-        self, place_n_m: Vec3 | None = None, *, error_m: float = 0.5, to: str = "receiver"
+        self,
+        place_n_m: Vec3 | None = None,
+        *,
+        error_m: float = 0.5,
+        to: str = "receiver",
     ) -> None:
         """Find the object at a place, follow it, and hand it over with proof; the other drone calls
         ``take_over``.
@@ -243,12 +247,19 @@ class Drone:
         if self._handing is not None:
             return await self._handing.recover(end)
         return await bring_down(
-            self._session, end, Anchor(self.position_n_m, yaw_of(self.state.q_n_b))
+            self._session,
+            end,
+            Anchor(self.position_n_m, yaw_of(self.state.q_n_b)),
         )
 
     # --- the course
 
-    async def until(self, condition: Callable[[], bool], within_s: float, what: str) -> None:
+    async def until(
+        self,
+        condition: Callable[[], bool],
+        within_s: float,
+        what: str,
+    ) -> None:
         """Wait for a condition; the mission fails, saying ``what``, when it does not come true
         within that time.
         """

@@ -16,7 +16,11 @@ class Giving(Sender):
     """D1's side: it finds the object at a place, follows it, and hands it over."""
 
     def __init__(
-        self, session: RoleSession, store: RecordStore, place_n_m: Vec3 | None, error_m: float
+        self,
+        session: RoleSession,
+        store: RecordStore,
+        place_n_m: Vec3 | None,
+        error_m: float,
     ) -> None:
         told = None
         if place_n_m is not None:

@@ -28,7 +28,11 @@ def load_mission(file: Path) -> Mapping[Role, Mission]:
     return {role: _coroutine(file, role, getattr(module, role.value, both)) for role in Role}
 
 
-def _coroutine(file: Path, role: Role, found: object) -> Mission:
+def _coroutine(
+    file: Path,
+    role: Role,
+    found: object,
+) -> Mission:
     if found is None:
         raise PartError(f"{file} has nothing that flies the {role.value}", _REMEDY)
     if not inspect.iscoroutinefunction(found):

@@ -28,7 +28,12 @@ class OwnMission:
 
     missions: Mapping[Role, Mission]
 
-    async def __call__(self, rig: Rig, role: Role, given: ProgramContext) -> RoleResult:
+    async def __call__(
+        self,
+        rig: Rig,
+        role: Role,
+        given: ProgramContext,
+    ) -> RoleResult:
         """Fly the mission.
 
         Nothing is kept in the store: a program that is started again in the air lands. Raises
@@ -45,7 +50,11 @@ class OwnMission:
             )
 
 
-async def _course(session: RoleSession, mission: Mission, drone: Drone) -> None:
+async def _course(
+    session: RoleSession,
+    mission: Mission,
+    drone: Drone,
+) -> None:
     if session.vehicle.state.armed:
         raise MissionEnd(Outcome.RESTARTED, "started again in the air")
     await preflight(session)

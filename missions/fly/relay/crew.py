@@ -108,7 +108,12 @@ class Crew(ABC, Generic[Config, Called]):
 
     # --- the loop ---
 
-    async def run(self, where: RelayField, stop: asyncio.Event, program: DroneProgram) -> None:
+    async def run(
+        self,
+        where: RelayField,
+        stop: asyncio.Event,
+        program: DroneProgram,
+    ) -> None:
         """Runs from the first take-off until all is over and everybody is down. ``program``: of
         every drone.
         """
@@ -194,13 +199,21 @@ class Crew(ABC, Generic[Config, Called]):
         """
         try:
             died = RoleResult(
-                Role.RECEIVER, Outcome.CRASHED, "its program died", responsible=False, landed=False
+                Role.RECEIVER,
+                Outcome.CRASHED,
+                "its program died",
+                responsible=False,
+                landed=False,
             )
             drone.result = await self._field.begin(drone.name, self._program) or died
         except Exception as error:
             end = as_end(error)  # prints what nobody foresaw
             drone.result = RoleResult(
-                Role.RECEIVER, end.outcome, end.detail, responsible=False, landed=False
+                Role.RECEIVER,
+                end.outcome,
+                end.detail,
+                responsible=False,
+                landed=False,
             )
 
     def _flying(self) -> list[asyncio.Task[None]]:
@@ -227,7 +240,12 @@ class Crew(ABC, Generic[Config, Called]):
                 spell.to_s = self._now_s() if spell.to_s is None else spell.to_s
                 return
 
-    def _say(self, name: str, what: What, text: str) -> None:
+    def _say(
+        self,
+        name: str,
+        what: What,
+        text: str,
+    ) -> None:
         event = Event(round(self._now_s(), 2), name, what, text)
         self.events.append(event)
         self.tell(event)

@@ -94,7 +94,12 @@ class Ground(Protocol):
         """The leg under way, when this drone is in it."""
         ...
 
-    def ask(self, name: str, battery: float, wait_s: float) -> None:
+    def ask(
+        self,
+        name: str,
+        battery: float,
+        wait_s: float,
+    ) -> None:
         """Ask to be relieved. ``wait_s``: how long it can still wait before it has to go home."""
         ...
 

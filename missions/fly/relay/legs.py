@@ -37,7 +37,12 @@ class Base(Crew[RelayConfig, CalledDrone]):
         leg = self._leg
         return leg if leg is not None and name in (leg.sender, leg.receiver) else None
 
-    def ask(self, name: str, battery: float, wait_s: float) -> None:
+    def ask(
+        self,
+        name: str,
+        battery: float,
+        wait_s: float,
+    ) -> None:
         if name == self.holder:
             self._asking = name, battery, wait_s
 
@@ -53,7 +58,9 @@ class Base(Crew[RelayConfig, CalledDrone]):
         self._asking = None
         self._alarmed = False
         self._say(
-            name, "holds", "responsible" if leg is None else f"responsible, relieved {leg.sender}"
+            name,
+            "holds",
+            "responsible" if leg is None else f"responsible, relieved {leg.sender}",
         )
 
     def leg_failed(self, name: str, end: MissionEnd) -> None:

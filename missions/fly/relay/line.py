@@ -39,7 +39,11 @@ def news_of(base: Ground, name: str) -> dict[str, Any]:
     }
 
 
-def hear(base: Ground, name: str, word: Mapping[str, Any]) -> None:
+def hear(
+    base: Ground,
+    name: str,
+    word: Mapping[str, Any],
+) -> None:
     """Pass on to the base what a drone's program said; what is no word of it is passed over."""
     match word:
         case {"event": "ask", "battery": float(battery), "wait_s": float(wait_s)}:
@@ -102,7 +106,12 @@ class FarBase:
         assert name == self._name
         return self._leg if self._leg is not None and self._leg.number > self._ended else None
 
-    def ask(self, name: str, battery: float, wait_s: float) -> None:
+    def ask(
+        self,
+        name: str,
+        battery: float,
+        wait_s: float,
+    ) -> None:
         assert name == self._name
         self._say({"event": "ask", "battery": battery, "wait_s": wait_s})
 

@@ -39,21 +39,37 @@ class Airway:
     columns: tuple[AirColumn, ...]
 
 
-def way_out(home: Point, target: Point, area_m: float) -> Airway:
+def way_out(
+    home: Point,
+    target: Point,
+    area_m: float,
+) -> Airway:
     return Airway(0, home, target, (AirColumn(home, 0.0, 0), AirColumn(target, area_m, 0)))
 
 
-def way_back(home: Point, target: Point, area_m: float) -> Airway:
+def way_back(
+    home: Point,
+    target: Point,
+    area_m: float,
+) -> Airway:
     return Airway(1, target, home, (AirColumn(home, 0.0, 1), AirColumn(target, area_m, 1)))
 
 
-def in_the_way(wanted: Iterable[Airway], flown: Iterable[Airway], clear_m: float) -> bool:
+def in_the_way(
+    wanted: Iterable[Airway],
+    flown: Iterable[Airway],
+    clear_m: float,
+) -> bool:
     """True when anything of what is wanted must wait for what is flown."""
     there = tuple(flown)
     return any(conflict(one, other, clear_m) for one in wanted for other in there)
 
 
-def conflict(one: Airway, other: Airway, clear_m: float) -> bool:
+def conflict(
+    one: Airway,
+    other: Airway,
+    clear_m: float,
+) -> bool:
     """True when two ways may bring two drones together."""
     if one.level == other.level and _between(one.begin, one.end, other.begin, other.end) < clear_m:
         return True
@@ -62,11 +78,19 @@ def conflict(one: Airway, other: Airway, clear_m: float) -> bool:
     return _crosses(one, other, clear_m) or _crosses(other, one, clear_m)
 
 
-def _overlap(one: AirColumn, other: AirColumn, clear_m: float) -> bool:
+def _overlap(
+    one: AirColumn,
+    other: AirColumn,
+    clear_m: float,
+) -> bool:
     return math.dist(one.middle, other.middle) < one.radius_m + other.radius_m + clear_m
 
 
-def _crosses(way: Airway, other: Airway, clear_m: float) -> bool:
+def _crosses(
+    way: Airway,
+    other: Airway,
+    clear_m: float,
+) -> bool:
     """True when a way leads through a column of the other one."""
     return any(
         column.top >= way.level
@@ -75,7 +99,11 @@ def _crosses(way: Airway, other: Airway, clear_m: float) -> bool:
     )
 
 
-def _from(point: Point, begin: Point, end: Point) -> float:
+def _from(
+    point: Point,
+    begin: Point,
+    end: Point,
+) -> float:
     """From a point to a segment."""
     (px, py), (bx, by), (ex, ey) = point, begin, end
     dx = ex - bx
@@ -87,12 +115,21 @@ def _from(point: Point, begin: Point, end: Point) -> float:
     return math.hypot(px - bx - along * dx, py - by - along * dy)
 
 
-def _between(a: Point, b: Point, c: Point, d: Point) -> float:
+def _between(
+    a: Point,
+    b: Point,
+    c: Point,
+    d: Point,
+) -> float:
     """From one segment to another."""
     if _cross(a, b, c) * _cross(a, b, d) < 0.0 and _cross(c, d, a) * _cross(c, d, b) < 0.0:
         return 0.0
     return min(_from(a, c, d), _from(b, c, d), _from(c, a, b), _from(d, a, b))
 
 
-def _cross(a: Point, b: Point, c: Point) -> float:
+def _cross(
+    a: Point,
+    b: Point,
+    c: Point,
+) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

@@ -88,7 +88,10 @@ Ways = Callable[[Need, ReadyDrone], Sequence[Airway]]
 
 
 def assign(
-    needs: Sequence[Need], drones: Sequence[ReadyDrone], ways: Ways, air: Airspace
+    needs: Sequence[Need],
+    drones: Sequence[ReadyDrone],
+    ways: Ways,
+    air: Airspace,
 ) -> list[Assignment]:
     """The pairs of the least cost in all; a need for which there is nobody is left out.
 
@@ -102,7 +105,9 @@ def assign(
     homes = np.array([drone.home_m for drone in drones])
     for i, need in enumerate(needs):
         for j in _nearest(
-            need, homes, [need.may is None or drone.name in need.may for drone in drones]
+            need,
+            homes,
+            [need.may is None or drone.name in need.may for drone in drones],
         ):
             if not in_the_way(ways(need, drones[j]), air.flown, air.clear_m):
                 cost_s, headings[i, j] = cost_of(need, drones[j], air)
@@ -115,7 +120,11 @@ def assign(
     ]
 
 
-def _nearest(need: Need, homes: Array, may: Sequence[bool]) -> list[int]:
+def _nearest(
+    need: Need,
+    homes: Array,
+    may: Sequence[bool],
+) -> list[int]:
     """The drones that are worth looking at: in a large field those from its other end are not."""
     away_m = np.hypot(*(homes - np.array(need.place_m)).T)
     away_m[~np.array(may)] = np.inf
@@ -128,7 +137,11 @@ def worth_s(need: Need) -> float:
     return max(0.0, SOON_S - need.urgent_s) if need.urgent_s > 0.0 else LOST_S
 
 
-def cost_of(need: Need, drone: ReadyDrone, air: Airspace) -> tuple[float, float]:
+def cost_of(
+    need: Need,
+    drone: ReadyDrone,
+    air: Airspace,
+) -> tuple[float, float]:
     """In seconds, and the heading at which it is that: the way there, the battery, what else is in
     the image.
     """
@@ -154,7 +167,12 @@ def clutter_s(need: Need, heading_deg: float) -> float:
     return worst
 
 
-def _way_s(need: Need, drone: ReadyDrone, air: Airspace, heading_deg: float) -> float:
+def _way_s(
+    need: Need,
+    drone: ReadyDrone,
+    air: Airspace,
+    heading_deg: float,
+) -> float:
     """To where it goes down behind the target."""
     turn = math.radians(heading_deg)
     entry = (

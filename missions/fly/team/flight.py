@@ -39,7 +39,12 @@ class TeamFlight(DroneFlight):
     """A drone's program. ``run`` is the whole of it."""
 
     def __init__(
-        self, rig: Rig, team: TeamConfig, ground: Ground, name: str, given: ProgramContext
+        self,
+        rig: Rig,
+        team: TeamConfig,
+        ground: Ground,
+        name: str,
+        given: ProgramContext,
     ) -> None:
         super().__init__(rig, team, ground, name, given)
         self._team = team
@@ -68,7 +73,12 @@ class TeamFlight(DroneFlight):
             self._told_s = now_s
             self._base.follows(self._name, subtract(holder.track.position_n_m, self.off_n_m))
 
-    async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
+    async def _give_up(
+        self,
+        session: RoleSession,
+        flown: Holder | Relief,
+        end: MissionEnd,
+    ) -> None:
         """Give up what this drone was responsible for, by its record too: the target will be found
         anew.
         """
@@ -100,13 +110,20 @@ class TeamFlight(DroneFlight):
 
         away_m = math.dist(above(), vehicle.state.position_n_m)
         await self._within(
-            session, _SLACK_S + 2.0 * away_m / team.transit_mps, above, team.transit_mps
+            session,
+            _SLACK_S + 2.0 * away_m / team.transit_mps,
+            above,
+            team.transit_mps,
         )
         await self._within(session, _SLACK_S, place, team.transit_mps)
         pilot.hold_here()
 
     async def _within(
-        self, session: RoleSession, within_s: float, place: Callable[[], Vec3], speed_mps: float
+        self,
+        session: RoleSession,
+        within_s: float,
+        place: Callable[[], Vec3],
+        speed_mps: float,
     ) -> None:
         """To a place that may move. Raises MissionEnd(APPROACH_FAILED) when it was not reached in
         time.
@@ -130,7 +147,12 @@ class TeamFlight(DroneFlight):
                 )
             await asyncio.sleep(_POLL_S)
 
-    async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
+    async def come_home(
+        self,
+        session: RoleSession,
+        end: MissionEnd | None,
+        aside: Anchor,
+    ) -> bool:
         """Out of the others' way, up, home above everything, and down; where that cannot be flown,
         down.
         """
@@ -142,7 +164,10 @@ class TeamFlight(DroneFlight):
                 await self._fly_to(session, anchor, self._team.transit_mps)
         while may_manoeuvre(session, end):
             await self._fly_to(
-                session, home, self._team.transit_mps, until=lambda: self._is_wanted(session)
+                session,
+                home,
+                self._team.transit_mps,
+                until=lambda: self._is_wanted(session),
             )
             if not self._is_wanted(session):
                 break
@@ -184,5 +209,8 @@ def mission_on(mission: MissionConfig, sent: SentTo) -> MissionConfig:
     north, east, _ = sent.place_n_m
     designation = replace(mission.target, north_m=north, east_m=east)
     return replace(
-        mission, target=designation, target_id=sent.target + 1, heading_deg=sent.heading_deg
+        mission,
+        target=designation,
+        target_id=sent.target + 1,
+        heading_deg=sent.heading_deg,
     )

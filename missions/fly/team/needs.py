@@ -40,7 +40,10 @@ def needs_of(
 
 
 def _need(
-    target: TeamTarget, targets: Sequence[TeamTarget], heading_deg: float | None, urgent_s: float
+    target: TeamTarget,
+    targets: Sequence[TeamTarget],
+    heading_deg: float | None,
+    urgent_s: float,
 ) -> Need:
     others = tuple(
         other.place_m

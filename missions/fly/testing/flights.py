@@ -99,7 +99,13 @@ class PytestFlights:
         note: is told the folder of every run.
     """
 
-    def __init__(self, rig: Rig, folder: Path, base: Path, note: Callable[[Path], object]) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        folder: Path,
+        base: Path,
+        note: Callable[[Path], object],
+    ) -> None:
         self._rig = rig
         self._folder = folder
         self._base = base
@@ -119,7 +125,10 @@ class PytestFlights:
         return self._fly(lambda: programs_of(self._base / file), seed, faults, may_violate)
 
     def handoff(
-        self, seed: int = 0, faults: Sequence[str] = (), may_violate: Collection[str] = ()
+        self,
+        seed: int = 0,
+        faults: Sequence[str] = (),
+        may_violate: Collection[str] = (),
     ) -> FlownRun:
         """Fly a handoff, as ``path-handoff handoff`` does."""
         return self._fly(lambda: HANDOFF, seed, faults, may_violate)

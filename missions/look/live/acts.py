@@ -250,14 +250,26 @@ class Operator:
             "error_deg": round(max(math.degrees(error_rad), 0.01), 3),
         }, image_ns
 
-    def _refuse(self, act: str, why: str, who: str) -> None:
+    def _refuse(
+        self,
+        act: str,
+        why: str,
+        who: str,
+    ) -> None:
         """Tell of it, at most ten times a second: nobody fills a disk so."""
         now_s = time.monotonic()
         if now_s - self._refused_s > 0.1:
             self._refused_s = now_s
             self._tell(act, done=False, why=why, who=who)
 
-    def _tell(self, act: str, *, done: bool, why: str, who: str) -> None:
+    def _tell(
+        self,
+        act: str,
+        *,
+        done: bool,
+        why: str,
+        who: str,
+    ) -> None:
         """Log what was asked for; the page hears of it as of all that is logged."""
         if self._log is None:
             self._log = McapLog(new_part(self._folder, LOG), LOG)

@@ -56,7 +56,13 @@ class Alarms:
         self._events: deque[Event] = deque(maxlen=KEPT)
         self._said = 0
 
-    def take(self, who: str, topic: str, utc_ns: int, record: Record) -> None:
+    def take(
+        self,
+        who: str,
+        topic: str,
+        utc_ns: int,
+        record: Record,
+    ) -> None:
         """Take up a record, if it is one that is told."""
         if topic == "/outcome":
             good = record["outcome"] in GOOD
@@ -68,7 +74,13 @@ class Alarms:
         elif topic in LEVEL_OF:
             self.say(utc_ns, LEVEL_OF[topic], who, (WORDS.get(topic) or LINES[topic])(record))
 
-    def say(self, utc_ns: int, level: str, who: str, text: str) -> None:
+    def say(
+        self,
+        utc_ns: int,
+        level: str,
+        who: str,
+        text: str,
+    ) -> None:
         """Add an event; what is said again at once counts once more instead."""
         newest = self._events[-1] if self._events else None
         if newest is not None and (newest["of"], newest["text"]) == (who, text):
@@ -87,7 +99,11 @@ def holding(now: Mapping[str, Any]) -> list[Event]:
     """Return what is wrong at this moment, by a picture of ``flight_state``: the worst first."""
     wrong: list[Event] = []
 
-    def say(level: str, who: str, text: str) -> None:
+    def say(
+        level: str,
+        who: str,
+        text: str,
+    ) -> None:
         wrong.append({"level": level, "of": who, "text": text})
 
     all_fly = all(drone["outcome"] is None for drone in now["drones"])

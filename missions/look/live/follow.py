@@ -144,7 +144,10 @@ class LogFollower:
                 channel = self._channels[record.channel_id]
                 schema = self._schemas[channel.schema_id]
                 yield Said(
-                    f"/{self._name}{channel.topic}", channel.message_encoding, schema, record
+                    f"/{self._name}{channel.topic}",
+                    channel.message_encoding,
+                    schema,
+                    record,
                 )
             case _:
                 pass

@@ -38,7 +38,12 @@ class TokenGate:
     ``refused``: how often somebody was not let in, by why.
     """
 
-    def __init__(self, token: str, inner: int, web: Web | None = None) -> None:
+    def __init__(
+        self,
+        token: str,
+        inner: int,
+        web: Web | None = None,
+    ) -> None:
         self._token = token
         self._inner = inner
         self._web = web
@@ -117,7 +122,11 @@ class TokenGate:
                 self._clients -= 1
 
     async def _ask_page(
-        self, web: Web, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self,
+        web: Web,
+        head: bytes,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
     ) -> None:
         """Pass a request on to the page's server, if it comes from the page itself."""
         try:
@@ -158,7 +167,12 @@ class TokenGate:
             "" if is_token(asked.query.get("token", ""), self._token) else "without the right token"
         )
 
-    async def _refuse(self, writer: asyncio.StreamWriter, why: str, answer: bytes) -> None:
+    async def _refuse(
+        self,
+        writer: asyncio.StreamWriter,
+        why: str,
+        answer: bytes,
+    ) -> None:
         """Refuse a client, and tell of the first, tenth, hundredth and so on."""
         times = self.refused[why] = self.refused.get(why, 0) + 1
         if str(times).strip("0") == "1":
@@ -171,7 +185,10 @@ class TokenGate:
         await asyncio.wait_for(writer.drain(), STILL_S)
 
     async def _served(
-        self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self,
+        head: bytes,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
     ) -> None:
         inner_reader, inner_writer = await asyncio.open_connection(LOOPBACK, self._inner)
         inner_writer.write(head)

@@ -59,7 +59,11 @@ class Sight:
 
     @classmethod
     def of(
-        cls, camera: CameraModel, T_b_c: Sequence[float], stand: Stand, pixel: tuple[float, float]
+        cls,
+        camera: CameraModel,
+        T_b_c: Sequence[float],
+        stand: Stand,
+        pixel: tuple[float, float],
     ) -> Sight | None:
         """Return the one of a pixel; None where the lens has none."""
         # not ``ray``, which loads a compiler

@@ -56,10 +56,15 @@ class Stream:
         if said.topic in self._channels:
             return False
         schema = foxglove.Schema(
-            name=said.schema.name, encoding=said.schema.encoding, data=said.schema.data
+            name=said.schema.name,
+            encoding=said.schema.encoding,
+            data=said.schema.data,
         )
         self._channels[said.topic] = foxglove.Channel(
-            said.topic, message_encoding=said.encoding, schema=schema, context=self.context
+            said.topic,
+            message_encoding=said.encoding,
+            schema=schema,
+            context=self.context,
         )
         return True
 
@@ -115,7 +120,12 @@ def log_to_stderr() -> None:
     foxglove.set_log_level("WARNING")
 
 
-async def _serve(served: Served, gate: TokenGate, host: str, port: int) -> None:
+async def _serve(
+    served: Served,
+    gate: TokenGate,
+    host: str,
+    port: int,
+) -> None:
     await gate.open(host, port)
     print(f"up {port}", flush=True)
     await served.until_ended()
@@ -124,7 +134,13 @@ async def _serve(served: Served, gate: TokenGate, host: str, port: int) -> None:
 class Served:
     """A flight as it is served: what is logged goes to the stream's clients and into the page."""
 
-    def __init__(self, folder: Path, stream: Stream, web: Web, operator: Operator) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        stream: Stream,
+        web: Web,
+        operator: Operator,
+    ) -> None:
         self._follower = FolderFollower(folder)
         self._stream = stream
         self._web = web

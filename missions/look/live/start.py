@@ -68,7 +68,9 @@ def _heard(rig: Rig) -> tuple[str, int] | None:
 
 @contextmanager
 def live(
-    asked: str | None, folder: Path, operated: Operated | None = None
+    asked: str | None,
+    folder: Path,
+    operated: Operated | None = None,
 ) -> Generator[None, None, None]:
     """Serve the logs in a folder while something flies; None: the page only watches. Raises
     PartError when that cannot begin.
@@ -134,7 +136,11 @@ def _until_up(server: subprocess.Popen[bytes], asked: str) -> None:
         )
 
 
-def _say(host: str, port: int, token: str) -> None:
+def _say(
+    host: str,
+    port: int,
+    token: str,
+) -> None:
     """Print the page's link where it is found again, and open it where there is a screen."""
     other = "" if host == LOOPBACK else " (whoever knows the token can watch and act; unencrypted)"
     shown = token if host == LOOPBACK else f"${TOKEN}"

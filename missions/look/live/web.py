@@ -101,7 +101,11 @@ class Web:
         self.state.alarms.say(self.state.newest_ns, WARNING, "page", text)
 
     async def answer(
-        self, asked: Asked, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, who: str
+        self,
+        asked: Asked,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        who: str,
     ) -> None:
         """Answer one request; the connection ends after it. ``who``: the client, for the log."""
         writer.transport.set_write_buffer_limits(high=BUFFER_BYTES)
@@ -172,13 +176,22 @@ class Web:
             self.watching -= 1
 
     async def _send(
-        self, writer: asyncio.StreamWriter, body: bytes, kind: str, more: str = ""
+        self,
+        writer: asyncio.StreamWriter,
+        body: bytes,
+        kind: str,
+        more: str = "",
     ) -> None:
         head = f"HTTP/1.1 200 OK\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n"
         writer.write(f"{head}{HEADERS}{more}\r\n".encode() + body)
         await _taken(writer)
 
-    async def _refuse(self, writer: asyncio.StreamWriter, status: str, why: str) -> None:
+    async def _refuse(
+        self,
+        writer: asyncio.StreamWriter,
+        status: str,
+        why: str,
+    ) -> None:
         writer.write(refusal(status, why))
         await _taken(writer)
 

@@ -142,7 +142,11 @@ def _true(run: RunRecords, folder: Path) -> dict[str, list[Row]]:
     return found
 
 
-def _true_marker(run: RunRecords, truth: Truth, folder: Path) -> Iterator[Row]:
+def _true_marker(
+    run: RunRecords,
+    truth: Truth,
+    folder: Path,
+) -> Iterator[Row]:
     """D2's camera in the marker's frame, at the very instants of ``marker.tum``."""
     offset_ns = utc_minus_stamp(parts(folder, Role.RECEIVER.value))
     for r in run.receiver.get("/candidate", ()):
@@ -165,7 +169,10 @@ def _logs(folder: Path) -> Iterator[tuple[str, tuple[Sequence[LogRecord], int]]]
 
 
 def _write_csv(
-    out: Path, name: str, records: Sequence[LogRecord], offset_ns: int
+    out: Path,
+    name: str,
+    records: Sequence[LogRecord],
+    offset_ns: int,
 ) -> Iterator[Path]:
     for topic in sorted({record.topic for record in records} - {"/image"}):
         rows = [

@@ -94,10 +94,14 @@ def merge(logs: Mapping[str, Sequence[Path]], out: Path) -> list[Aligned]:
             key = name, channel.topic
             if key not in channels:
                 schema = writer.register_schema(
-                    channel.schema.name, channel.schema.encoding, channel.schema.data
+                    channel.schema.name,
+                    channel.schema.encoding,
+                    channel.schema.data,
                 )
                 channels[key] = writer.register_channel(
-                    f"/{name}{channel.topic}", channel.encoding, schema
+                    f"/{name}{channel.topic}",
+                    channel.encoding,
+                    schema,
                 )
             writer.add_message(channels[key], utc_ns, message.data, utc_ns)
         writer.finish()

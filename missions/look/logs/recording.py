@@ -96,7 +96,11 @@ class RealSenseFilm:
         limits_m = believed.min_depth_m, believed.max_depth_m
         try:
             registration = DepthRegistration(
-                recording.depth, color, recording.T_color_depth, recording.unit_m, limits_m
+                recording.depth,
+                color,
+                recording.T_color_depth,
+                recording.unit_m,
+                limits_m,
             )
         except ValueError as error:
             raise PartError(
@@ -160,7 +164,11 @@ class _Camera:
     note: str = ""
 
 
-def _write_all(film: Film, camera: _Camera, out: Path) -> int:
+def _write_all(
+    film: Film,
+    camera: _Camera,
+    out: Path,
+) -> int:
     """Return how many frames there are."""
     frames = 0
     with ExitStack() as stack:
@@ -181,7 +189,11 @@ def _write_all(film: Film, camera: _Camera, out: Path) -> int:
     return frames
 
 
-def _given(film: Film, given: Path, file: Path) -> _Camera:
+def _given(
+    film: Film,
+    given: Path,
+    file: Path,
+) -> _Camera:
     """The colour camera by a calibration of one's own."""
     calibration = read_camera(given)
     check_serial(calibration.serial, film.serial, str(file))
@@ -190,7 +202,11 @@ def _given(film: Film, given: Path, file: Path) -> _Camera:
     return _Camera(model, given)
 
 
-def _factory(film: Film, out: Path, file: Path) -> _Camera:
+def _factory(
+    film: Film,
+    out: Path,
+    file: Path,
+) -> _Camera:
     """The colour camera as its maker calibrated it."""
     try:
         lens = film.factory_color()

@@ -73,7 +73,11 @@ def write_ros2(folder: Path, out: Path) -> Path:
     return bag
 
 
-def made(store: Any, kind: str, fields: Fields) -> Any:
+def made(
+    store: Any,
+    kind: str,
+    fields: Fields,
+) -> Any:
     """Return a message of a type. Raises ValueError for a field that it does not have."""
     known = store.get_msgdef(kind).fields
     strange = set(fields) - {name for name, _ in known}
@@ -82,7 +86,11 @@ def made(store: Any, kind: str, fields: Fields) -> Any:
     return store.types[kind](*(_field(store, of, fields.get(name)) for name, of in known))
 
 
-def _field(store: Any, of: Any, given: Any) -> Any:
+def _field(
+    store: Any,
+    of: Any,
+    given: Any,
+) -> Any:
     node, detail = of
     if node is Nodetype.NAME:
         return made(store, detail, given or {})

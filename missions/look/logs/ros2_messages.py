@@ -92,7 +92,11 @@ class Standards:
 # --- what viewers are told
 
 
-def transforms(name: str, utc_ns: int, message: Any) -> Said:
+def transforms(
+    name: str,
+    utc_ns: int,
+    message: Any,
+) -> Said:
     moved = [
         {
             "header": _header(utc_ns, each.parent_frame_id),
@@ -104,7 +108,11 @@ def transforms(name: str, utc_ns: int, message: Any) -> Said:
     yield "/tf", "tf2_msgs/msg/TFMessage", {"transforms": moved}
 
 
-def camera_info(name: str, utc_ns: int, message: Any) -> Said:
+def camera_info(
+    name: str,
+    utc_ns: int,
+    message: Any,
+) -> Said:
     yield (
         f"/{name}/camera/camera_info",
         "sensor_msgs/msg/CameraInfo",
@@ -121,14 +129,22 @@ def camera_info(name: str, utc_ns: int, message: Any) -> Said:
     )
 
 
-def image(name: str, utc_ns: int, message: Any) -> Said:
+def image(
+    name: str,
+    utc_ns: int,
+    message: Any,
+) -> Said:
     picture = {
         "header": _header(utc_ns, message.frame_id), "format": message.format, "data": message.data
     }  # fmt: skip
     yield f"/{name}/camera/image/compressed", "sensor_msgs/msg/CompressedImage", picture
 
 
-def fix(name: str, utc_ns: int, message: Any) -> Said:
+def fix(
+    name: str,
+    utc_ns: int,
+    message: Any,
+) -> Said:
     place = {
         "header": _header(utc_ns, f"{name}/body"),
         "latitude": message.latitude,
@@ -138,7 +154,11 @@ def fix(name: str, utc_ns: int, message: Any) -> Said:
     yield f"/{name}/fix", "sensor_msgs/msg/NavSatFix", place
 
 
-def markers(name: str, utc_ns: int, message: Any) -> Said:
+def markers(
+    name: str,
+    utc_ns: int,
+    message: Any,
+) -> Said:
     """What is drawn in the scene; each entity is a namespace."""
     drawn: list[Fields] = []
     for entity in message.entities:
@@ -167,7 +187,11 @@ def markers(name: str, utc_ns: int, message: Any) -> Said:
     yield f"/{name}/markers", "visualization_msgs/msg/MarkerArray", {"markers": drawn}
 
 
-def line(name: str, utc_ns: int, message: Any) -> Said:
+def line(
+    name: str,
+    utc_ns: int,
+    message: Any,
+) -> Said:
     said = {
         "stamp": _time(utc_ns), "level": ROS_LEVEL[message.level], "name": name, "msg": message.message
     }  # fmt: skip
@@ -177,11 +201,19 @@ def line(name: str, utc_ns: int, message: Any) -> Said:
 # --- PATH's records
 
 
-def pose(name: str, utc_ns: int, record: Any) -> Said:
+def pose(
+    name: str,
+    utc_ns: int,
+    record: Any,
+) -> Said:
     yield _pose(f"/{name}/pose", utc_ns, "n", record["position_n_m"], record["q_n_b"])
 
 
-def target(name: str, utc_ns: int, record: Any) -> Said:
+def target(
+    name: str,
+    utc_ns: int,
+    record: Any,
+) -> Said:
     """D1's frame: where the target is, as it is sent to D2, and what was seen."""
     if record["point_v_m"] is not None:
         yield _sure(f"/{name}/target", utc_ns, record["point_v_m"], _NO_TURN, record["sigma_m"])
@@ -190,29 +222,49 @@ def target(name: str, utc_ns: int, record: Any) -> Said:
         yield _boxes(name, utc_ns, [("target", record["box"], 1.0)], beside)
 
 
-def marker(name: str, utc_ns: int, record: Any) -> Said:
+def marker(
+    name: str,
+    utc_ns: int,
+    record: Any,
+) -> Said:
     """D2's camera, as it measures it in the frame of D1's marker."""
     if record["position_v_m"] is not None:
         place = record["position_v_m"], record["rotation_v_c2"]
         yield _sure(f"/{name}/marker", utc_ns, *place, record["sigma_m"])
 
 
-def candidate(name: str, utc_ns: int, record: Any) -> Said:
+def candidate(
+    name: str,
+    utc_ns: int,
+    record: Any,
+) -> Said:
     found = [("detection", each["box"], each["score"]) for each in record["found"] or ()]
     own = [] if record["box"] is None else [("target", record["box"], 1.0)]
     yield _boxes(name, utc_ns, [*own, *found])
 
 
-def track(name: str, utc_ns: int, record: Any) -> Said:
+def track(
+    name: str,
+    utc_ns: int,
+    record: Any,
+) -> Said:
     if record["box"] is not None:
         yield _boxes(name, utc_ns, [("target", record["box"], 1.0)])
 
 
-def truth(name: str, utc_ns: int, record: Any) -> Said:
+def truth(
+    name: str,
+    utc_ns: int,
+    record: Any,
+) -> Said:
     for role in ("sender", "receiver"):
         if record[role] is not None:
             yield _pose(
-                f"/{name}/truth/{role}", utc_ns, "world", record[role]["t"], record[role]["q"]
+                f"/{name}/truth/{role}",
+                utc_ns,
+                "world",
+                record[role]["t"],
+                record[role]["q"],
             )
     for each in record["objects"] or ():
         half = 0.5 * each["yaw"]
@@ -220,7 +272,12 @@ def truth(name: str, utc_ns: int, record: Any) -> Said:
         yield _pose(f"/{name}/truth/object_{each['id']}", utc_ns, "world", each["t"], turn)
 
 
-def diagnostics(name: str, own: str, utc_ns: int, record: Any) -> Said:
+def diagnostics(
+    name: str,
+    own: str,
+    utc_ns: int,
+    record: Any,
+) -> Said:
     values = [{"key": key, "value": str(value)} for key, value in _flat("", record)]
     told = record.get("phase") or record.get("outcome") or record.get("detail") or ""
     status = {
@@ -268,14 +325,22 @@ def _placed(t: Sequence[float], q: Sequence[float]) -> Fields:
 
 
 def _pose(
-    topic: str, utc_ns: int, frame: str, t: Sequence[float], q: Sequence[float]
+    topic: str,
+    utc_ns: int,
+    frame: str,
+    t: Sequence[float],
+    q: Sequence[float],
 ) -> tuple[str, str, Fields]:
     stamped = {"header": _header(utc_ns, frame), "pose": _placed(t, q)}
     return topic, "geometry_msgs/msg/PoseStamped", stamped
 
 
 def _sure(
-    topic: str, utc_ns: int, t: Sequence[float], q: Sequence[float], sigma_m: float | None
+    topic: str,
+    utc_ns: int,
+    t: Sequence[float],
+    q: Sequence[float],
+    sigma_m: float | None,
 ) -> tuple[str, str, Fields]:
     """A place with its covariance; that of the rotation is not told, and is zero."""
     covariance = np.zeros((6, 6))
@@ -310,7 +375,12 @@ def _boxes(
     return f"/{name}/detections", "vision_msgs/msg/Detection2DArray", array
 
 
-def _shape(kind: int, at: Any, size: Fields, color: Any) -> Fields:
+def _shape(
+    kind: int,
+    at: Any,
+    size: Fields,
+    color: Any,
+) -> Fields:
     place = {"position": _vec(at.position), "orientation": _turn(at.orientation)}
     return {"type": kind, "pose": place, "scale": size, "color": _color(color)}
 

@@ -60,7 +60,11 @@ def detector_settings(texts: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def perceiver_of(folder: Path, drone: str, change: PerceptionChange) -> Open:
+def perceiver_of(
+    folder: Path,
+    drone: str,
+    change: PerceptionChange,
+) -> Open:
     """Open the perception of one drone's log in a run's folder. Raises PartError when it recorded
     no frames.
     """
@@ -70,7 +74,11 @@ def perceiver_of(folder: Path, drone: str, change: PerceptionChange) -> Open:
     rig = _rig_of(folder, change)
     frames = _frames(files)
 
-    def opened(setup: Mapping[str, Any], begun_ns: int, method: MethodConfig) -> Perceiver:
+    def opened(
+        setup: Mapping[str, Any],
+        begun_ns: int,
+        method: MethodConfig,
+    ) -> Perceiver:
         role = Role(setup["role"])
         own = rig.role(role)
         mission = decode_table(setup["mission"], MissionConfig, "/setup: mission")
@@ -103,7 +111,10 @@ def _frames(files: Sequence[Path]) -> Iterator[Frame]:
 
 
 def perception_of(
-    rig: Rig, role: Role, camera: CameraModel, change: PerceptionChange
+    rig: Rig,
+    role: Role,
+    camera: CameraModel,
+    change: PerceptionChange,
 ) -> PixelPerception:
     """A role's perception, whose camera is never opened. Raises PartError."""
     own = rig.role(role)

@@ -106,7 +106,11 @@ class SenderPerceiver:
         taken = self._acquisition.look(view, T_n_c)
         if taken is not None:
             self._track = TargetTrack.of(
-                self._mission, taken.position_n_m, stamp_ns, self._largest, self._ranging
+                self._mission,
+                taken.position_n_m,
+                stamp_ns,
+                self._largest,
+                self._ranging,
             )
             self._track.velocity_n_mps = taken.velocity_n_mps
 
@@ -136,7 +140,12 @@ class ReceiverPerceiver:
         self._marker = MarkerView(layout, camera, own.mount, method, mission)
         self._view: View | None = None
 
-    def look(self, stamp_ns: int, motion: Record, gravity_v: Vec3 | None) -> None:
+    def look(
+        self,
+        stamp_ns: int,
+        motion: Record,
+        gravity_v: Vec3 | None,
+    ) -> None:
         """One ``/motion``: the marker of its frame in ``fix``; None where the log's word stays."""
         self._view = self._views.at(stamp_ns)
         self.fix = None

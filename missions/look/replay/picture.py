@@ -32,7 +32,11 @@ def draw_replay(columns: Mapping[str, Sequence[Replayed]], path: Path) -> None:
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
-def _draw(axes: Axes, drone: Replayed, title: str) -> None:
+def _draw(
+    axes: Axes,
+    drone: Replayed,
+    title: str,
+) -> None:
     verdicts = drone.verdicts
     axes.set_title(title, loc="left", fontsize=10)
     axes.set_ylim(0.0, 1.02)
@@ -49,7 +53,12 @@ def _draw(axes: Axes, drone: Replayed, title: str) -> None:
     lines = [
         *axes.plot(seconds, tau, color=NEEDED, lw=1.4, label="needed (τ)"),
         *axes.plot(
-            seconds[agreed], iou[agreed], ".", ms=3, color=ROLE[Role.SENDER], label="agreed"
+            seconds[agreed],
+            iou[agreed],
+            ".",
+            ms=3,
+            color=ROLE[Role.SENDER],
+            label="agreed",
         ),
         *axes.plot(seconds[~agreed], iou[~agreed], "x", ms=5, color=FAULT, label="does not count"),
     ]

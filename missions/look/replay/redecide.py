@@ -130,17 +130,25 @@ def other_answers(decided: Iterable[DecisionPair | Complete]) -> dict[tuple[int,
 
 
 def _again(
-    setup: LogRecord, change: Change, answers: Answers, open_perceiver: Open | None
+    setup: LogRecord,
+    change: Change,
+    answers: Answers,
+    open_perceiver: Open | None,
 ) -> _SenderReplay | _ReceiverReplay:
     record = setup.record
     method = change(decode_table(record["method"], MethodConfig, "/setup: method"))
     perceiver = None if open_perceiver is None else open_perceiver(record, setup.stamp_ns, method)
     if record["role"] == Role.SENDER.value:
         return _SenderReplay(
-            record, method, answers, perceiver if isinstance(perceiver, SenderPerceiver) else None
+            record,
+            method,
+            answers,
+            perceiver if isinstance(perceiver, SenderPerceiver) else None,
         )
     return _ReceiverReplay(
-        record, method, perceiver if isinstance(perceiver, ReceiverPerceiver) else None
+        record,
+        method,
+        perceiver if isinstance(perceiver, ReceiverPerceiver) else None,
     )
 
 
@@ -198,7 +206,9 @@ class _SenderReplay:
         self._epoch = attempt["epoch"]
         self._complete = False
         cameras = PairCameras(
-            camera_of(setup["camera"]), camera_of(setup["peer_camera"]), pose_of(setup["T_v_c1"])
+            camera_of(setup["camera"]),
+            camera_of(setup["peer_camera"]),
+            pose_of(setup["T_v_c1"]),
         )
         self._side = SenderSide(cameras, self._method, _attempt_of(attempt))
 
@@ -209,7 +219,10 @@ class _SenderReplay:
         judged_ns = record["judged_ns"]
         frame = side.observe(record["frame_id"], capture_ns, seen, gravity_v)
         yield DecisionPair(
-            "/target", capture_ns, record, as_logged(target_record(frame, judged_ns))
+            "/target",
+            capture_ns,
+            record,
+            as_logged(target_record(frame, judged_ns)),
         )
         for pair in side.judge(judged_ns):
             self._due.append((judged_ns, as_logged(side.record(pair))))
@@ -234,7 +247,10 @@ class _ReceiverReplay:
     """D2's cycle, for one session."""
 
     def __init__(
-        self, setup: Record, method: MethodConfig, perceiver: ReceiverPerceiver | None
+        self,
+        setup: Record,
+        method: MethodConfig,
+        perceiver: ReceiverPerceiver | None,
     ) -> None:
         self._setup = setup
         self._method = method
@@ -255,7 +271,10 @@ class _ReceiverReplay:
             side.hear(target_of(record), record["capture_ns"], each.stamp_ns)
         elif side is not None and each.topic == "/candidate":
             yield DecisionPair(
-                each.topic, each.stamp_ns, record, self._answer(side, each.stamp_ns, record)
+                each.topic,
+                each.stamp_ns,
+                record,
+                self._answer(side, each.stamp_ns, record),
             )
 
     def rest(self) -> Iterator[DecisionPair]:
@@ -265,11 +284,18 @@ class _ReceiverReplay:
     def _begin(self, attempt: Record) -> None:
         setup = self._setup
         cameras = PairCameras(
-            camera_of(setup["peer_camera"]), camera_of(setup["camera"]), pose_of(setup["T_v_c1"])
+            camera_of(setup["peer_camera"]),
+            camera_of(setup["camera"]),
+            pose_of(setup["T_v_c1"]),
         )
         self._side = ReceiverSide(cameras, self._method, _attempt_of(attempt))
 
-    def _answer(self, side: ReceiverSide, stamp_ns: int, record: Record) -> dict[str, Any] | None:
+    def _answer(
+        self,
+        side: ReceiverSide,
+        stamp_ns: int,
+        record: Record,
+    ) -> dict[str, Any] | None:
         perceiver = self._perceiver
         fix = self._fix() if perceiver is None or perceiver.fix is None else perceiver.fix
         prior = side.prior(fix, stamp_ns)

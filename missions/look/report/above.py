@@ -197,7 +197,11 @@ def _site(sheet: Sheet, site: Snapshot | None) -> Iterator[str]:
         yield f"{edge} stroke='{NEEDED}' stroke-width='3'/>"
 
 
-def _moment(sheet: Sheet, now: Snapshot, site: Snapshot | None) -> Iterator[str]:
+def _moment(
+    sheet: Sheet,
+    now: Snapshot,
+    site: Snapshot | None,
+) -> Iterator[str]:
     for place in now["others"]:
         x, y = sheet.px(place)
         yield f"<rect x='{x - 5}' y='{y - 5}' width='10' height='10' fill='none' stroke='{DIM}' stroke-width='2'/>"
@@ -224,28 +228,51 @@ def _moment(sheet: Sheet, now: Snapshot, site: Snapshot | None) -> Iterator[str]
             f" fill='{'#fff' if hollow else color}' stroke='{color}' stroke-width='2.5'/>"
         )
         yield _text(
-            drone["short"], x - 34 if drone["name"] == Role.SENDER.value else x + 12, y + 12
+            drone["short"],
+            x - 34 if drone["name"] == Role.SENDER.value else x + 12,
+            y + 12,
         )
 
 
-def _line(points: str, color: str, width: float, dashes: str) -> str:
+def _line(
+    points: str,
+    color: str,
+    width: float,
+    dashes: str,
+) -> str:
     stroke = f"stroke='{color}' stroke-width='{width}' stroke-dasharray='{dashes}'"
     return f"<polyline points='{points}' fill='none' {stroke}/>"
 
 
-def _circle(x: float, y: float, radius_px: float, color: str, dashes: str) -> str:
+def _circle(
+    x: float,
+    y: float,
+    radius_px: float,
+    color: str,
+    dashes: str,
+) -> str:
     stroke = f"stroke='{color}' stroke-width='2' stroke-dasharray='{dashes}'"
     return f"<circle cx='{x}' cy='{y}' r='{radius_px:.1f}' fill='none' {stroke}/>"
 
 
-def _text(words: str, x: float, y: float, color: str = NEEDED) -> str:
+def _text(
+    words: str,
+    x: float,
+    y: float,
+    color: str = NEEDED,
+) -> str:
     return f"<text x='{x:.0f}' y='{y:.0f}' fill='{color}'>{escape(words)}</text>"
 
 
 # --- images
 
 
-def marked(image: str, size: tuple[int, int], overlays: Sequence[Snapshot], name: str) -> str:
+def marked(
+    image: str,
+    size: tuple[int, int],
+    overlays: Sequence[Snapshot],
+    name: str,
+) -> str:
     """Return an image with what was found in its frame, as SVG.
 
     Args:

@@ -24,7 +24,12 @@ FAR_NS = 150_000_000
 LINE = 1.8
 
 
-def draw_view(axes: Axes, run: RunRecords, role: Role, truth: Truth | None) -> None:
+def draw_view(
+    axes: Axes,
+    run: RunRecords,
+    role: Role,
+    truth: Truth | None,
+) -> None:
     """One camera at the commit, or at the last pair that was judged when there was none."""
     axes.set_xticks([])
     axes.set_yticks([])
@@ -35,7 +40,10 @@ def draw_view(axes: Axes, run: RunRecords, role: Role, truth: Truth | None) -> N
     image = _nearest(run.role(role).get("/image", ()), instant_ns, before=True)
     stamp_ns = instant_ns if image is None else image.stamp_ns
     axes.set_title(
-        f"{name}, {_when(run, role, stamp_ns)}", loc="left", fontsize=10, color=ROLE[role]
+        f"{name}, {_when(run, role, stamp_ns)}",
+        loc="left",
+        fontsize=10,
+        color=ROLE[role],
     )
     if stamp_ns is None or (image is None and truth is None):
         axes.text(
@@ -86,7 +94,11 @@ def _instant(run: RunRecords, role: Role) -> int | None:
     return stamps[-1] if stamps else (newest.stamp_ns if newest else None)
 
 
-def _when(run: RunRecords, role: Role, stamp_ns: int | None) -> str:
+def _when(
+    run: RunRecords,
+    role: Role,
+    stamp_ns: int | None,
+) -> str:
     instant_ns = _instant(run, role)
     if stamp_ns is None or instant_ns is None:
         return "never in the handshake"
@@ -96,7 +108,9 @@ def _when(run: RunRecords, role: Role, stamp_ns: int | None) -> str:
 
 
 def _nearest(
-    records: Sequence[LogRecord], stamp_ns: int | None, before: bool = False
+    records: Sequence[LogRecord],
+    stamp_ns: int | None,
+    before: bool = False,
 ) -> LogRecord | None:
     """The record nearest to an instant (the newest not after it); None when there is none."""
     if stamp_ns is None:
@@ -111,7 +125,11 @@ def _near(records: Sequence[LogRecord], stamp_ns: int) -> Mapping[str, Any]:
     return found.record if found and abs(found.stamp_ns - stamp_ns) < FAR_NS else {}
 
 
-def _draw_sender(axes: Axes, run: RunRecords, stamp_ns: int) -> None:
+def _draw_sender(
+    axes: Axes,
+    run: RunRecords,
+    stamp_ns: int,
+) -> None:
     target = _near(run.sender.get("/target", ()), stamp_ns)
     # pairs are logged when they are judged, and belong to the instant of D2's frame
     judged = [LogRecord(r.topic, r.record["capture_ns"], r.record) for r in judged_pairs(run)]
@@ -126,7 +144,11 @@ def _draw_sender(axes: Axes, run: RunRecords, stamp_ns: int) -> None:
         )  # fmt: skip
 
 
-def _draw_receiver(axes: Axes, run: RunRecords, stamp_ns: int) -> None:
+def _draw_receiver(
+    axes: Axes,
+    run: RunRecords,
+    stamp_ns: int,
+) -> None:
     marker = _near([r for r in run.receiver.get("/marker", ()) if r.record["corners_px"]], stamp_ns)
     answer = _near(run.receiver.get("/candidate", ()), stamp_ns)
     if marker:
@@ -144,7 +166,11 @@ def _draw_receiver(axes: Axes, run: RunRecords, stamp_ns: int) -> None:
 
 
 def _draw_box(
-    axes: Axes, box: Sequence[float] | None, color: str, label: str, style: str = "-"
+    axes: Axes,
+    box: Sequence[float] | None,
+    color: str,
+    label: str,
+    style: str = "-",
 ) -> None:
     if box is not None:
         x, y, w, h = box
@@ -153,7 +179,12 @@ def _draw_box(
         )
 
 
-def _draw_objects(axes: Axes, truth: Truth, role: Role, stamp_ns: int) -> None:
+def _draw_objects(
+    axes: Axes,
+    truth: Truth,
+    role: Role,
+    stamp_ns: int,
+) -> None:
     """The true edges of every object, through the lens."""
     T_c_w = truth.T_w_c(role, stamp_ns).inverse()
     camera = truth.scene.cameras[role]
@@ -174,7 +205,12 @@ def _edges(box: Array) -> list[Array]:
     return [a + shares * (b - a) for a, b in pairs]
 
 
-def _draw_edges(axes: Axes, camera: CameraModel, edges: Sequence[Array], color: str) -> None:
+def _draw_edges(
+    axes: Axes,
+    camera: CameraModel,
+    edges: Sequence[Array],
+    color: str,
+) -> None:
     """The edges in front of the camera, all in one line with gaps, which is drawn much faster than
     a line for each.
     """

@@ -71,7 +71,9 @@ def following_of(run: RunRecords, truth: Truth | None) -> Following | None:
         return None
     mission = setup["mission"]
     heading = _heading_rad(
-        run.sender.get("/setpoint", ()), begin, math.radians(mission["heading_deg"])
+        run.sender.get("/setpoint", ()),
+        begin,
+        math.radians(mission["heading_deg"]),
     )
     forward = np.array([math.sin(heading), math.cos(heading)])  # east, north
     right = np.array([math.cos(heading), -math.sin(heading)])
@@ -82,7 +84,11 @@ def following_of(run: RunRecords, truth: Truth | None) -> Following | None:
     return Following(stamps_ns[within], off_m, _unseen_s(run.sender.get("/target", ()), begin, end))
 
 
-def _heading_rad(told: Sequence[LogRecord], begin_ns: int, stated_rad: float) -> float:
+def _heading_rad(
+    told: Sequence[LogRecord],
+    begin_ns: int,
+    stated_rad: float,
+) -> float:
     """The heading it follows in: as it was last told before it began to, or as stated where it was
     told nothing.
     """
@@ -90,7 +96,11 @@ def _heading_rad(told: Sequence[LogRecord], begin_ns: int, stated_rad: float) ->
     return float(before[-1]) if before else stated_rad
 
 
-def _unseen_s(frames: Sequence[LogRecord], begin_ns: int, end_ns: int) -> float:
+def _unseen_s(
+    frames: Sequence[LogRecord],
+    begin_ns: int,
+    end_ns: int,
+) -> float:
     seen = [
         r.stamp_ns
         for r in frames

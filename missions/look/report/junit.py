@@ -31,7 +31,11 @@ class JUnitCase:
     seconds: float = 0.0
 
 
-def write_junit(file: Path, suite: str, cases: Sequence[JUnitCase]) -> None:
+def write_junit(
+    file: Path,
+    suite: str,
+    cases: Sequence[JUnitCase],
+) -> None:
     """Write the runs of one suite. Raises OSError."""
     counts = {
         "name": suite, "tests": str(len(cases)), "failures": str(sum(bool(case.failures) for case in cases)),
@@ -45,13 +49,19 @@ def write_junit(file: Path, suite: str, cases: Sequence[JUnitCase]) -> None:
     file.write_bytes(ET.tostring(root, "utf-8", xml_declaration=True) + b"\n")
 
 
-def _add(suite: ET.Element, classname: str, case: JUnitCase) -> None:
+def _add(
+    suite: ET.Element,
+    classname: str,
+    case: JUnitCase,
+) -> None:
     named = {"classname": classname, "name": case.name, "time": f"{case.seconds:.3f}"}
     element = ET.SubElement(suite, "testcase", named)
     told = f"outcome: {case.outcome}\nreplay: {case.replay}\n"
     if case.failures:
         failure = ET.SubElement(
-            element, "failure", {"message": _clean(case.failures[0]), "type": case.outcome}
+            element,
+            "failure",
+            {"message": _clean(case.failures[0]), "type": case.outcome},
         )
         failure.text = _clean("\n".join((*case.failures, told)))
     else:

@@ -73,7 +73,11 @@ class PageOf:
     advice: str = ""
 
 
-def write_page(path: Path, run: PageOf, logs: Mapping[str, Records]) -> None:
+def write_page(
+    path: Path,
+    run: PageOf,
+    logs: Mapping[str, Records],
+) -> None:
     """``logs``: of each drone, by its name. Raises OSError."""
     logs = dict(sorted(logs.items(), key=lambda each: each[0] != Role.SENDER.value))  # D1 first
     badge = "good" if run.good else "bad"
@@ -103,7 +107,11 @@ def whole(title: str, body: str) -> str:
     return f"<!doctype html>\n<html lang='en'><head>{head}</head><body>\n{body}\n</body></html>\n"
 
 
-def _drone(name: str, records: Records, seen: Played) -> Iterator[str]:
+def _drone(
+    name: str,
+    records: Records,
+    seen: Played,
+) -> Iterator[str]:
     begin_ns = next((each.stamp_ns for topic in BEGINS for each in records.get(topic, ())), 0)
     yield f"<h2>{escape(name)}</h2>"
     yield "<div class='phases'>"
@@ -127,13 +135,23 @@ def _drone(name: str, records: Records, seen: Played) -> Iterator[str]:
     yield _table(list(_link_and_load(records)))
 
 
-def _figure(picture: str, title: str, at_s: float, note: str | None) -> str:
+def _figure(
+    picture: str,
+    title: str,
+    at_s: float,
+    note: str | None,
+) -> str:
     said = f"<br><span class='dim'>{escape(note)}</span>" if note else ""
     caption = f"<figcaption><b>{escape(title)}</b> at {at_s:.1f} s{said}</figcaption>"
     return f"<figure>{picture}{caption}</figure>"
 
 
-def _pictured(name: str, image: LogRecord, records: Records, seen: Played) -> str:
+def _pictured(
+    name: str,
+    image: LogRecord,
+    records: Records,
+    seen: Played,
+) -> str:
     """An image with what was found in its frame."""
     data = _embedded(image.record["data"], "jpeg")
     setup = first(records, "/setup")

@@ -37,7 +37,11 @@ matplotlib they take half as long again."""
 LETTER_SHARE = 0.0055  # width of a letter, as a share of the timeline
 
 
-def draw_run(run: RunRecords, summary: Mapping[str, Any], path: Path) -> None:
+def draw_run(
+    run: RunRecords,
+    summary: Mapping[str, Any],
+    path: Path,
+) -> None:
     """Draw a run as PNG. Whatever the records do not hold is left empty. Raises OSError when it
     cannot be written.
     """
@@ -82,7 +86,11 @@ def _clock(run: RunRecords, truth: Truth | None) -> Clock:
     return lambda role, stamp_ns: (truth.to_world_ns(role, stamp_ns) - begin_ns) * 1e-9
 
 
-def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
+def _draw_phases(
+    axes: Axes,
+    run: RunRecords,
+    seconds: Clock,
+) -> None:
     """One bar per role; the part where it is responsible is underlined."""
     end_s = 0.0
     bars: list[tuple[float, float, int, str]] = []
@@ -106,10 +114,17 @@ def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
             )
             bars.append((stamps[k], length, row, name))
         for start_s, stop_s in _responsible(
-            run.role(role).get("/responsibility", ()), role, seconds, stamps[-1]
+            run.role(role).get("/responsibility", ()),
+            role,
+            seconds,
+            stamps[-1],
         ):
             axes.plot(
-                [start_s, stop_s], [row + 0.36] * 2, color=ROLE[role], lw=4, solid_capstyle="butt"
+                [start_s, stop_s],
+                [row + 0.36] * 2,
+                color=ROLE[role],
+                lw=4,
+                solid_capstyle="butt",
             )
     for begin_s, length, row, name in bars:
         if length > LETTER_SHARE * len(name) * end_s:  # else it would run into its neighbours
@@ -133,7 +148,10 @@ def _draw_phases(axes: Axes, run: RunRecords, seconds: Clock) -> None:
 
 
 def _responsible(
-    records: Sequence[LogRecord], role: Role, seconds: Clock, end_s: float
+    records: Sequence[LogRecord],
+    role: Role,
+    seconds: Clock,
+    end_s: float,
 ) -> list[tuple[float, float]]:
     """Spans in which a role was responsible."""
     spans: list[tuple[float, float]] = []
@@ -146,7 +164,11 @@ def _responsible(
     return spans
 
 
-def _draw_agreement(axes: Axes, run: RunRecords, seconds: Clock) -> None:
+def _draw_agreement(
+    axes: Axes,
+    run: RunRecords,
+    seconds: Clock,
+) -> None:
     """IoU of each judged pair against what was needed, and the count."""
     pairs = judged_pairs(run)
     axes.set_title("agreement of the two views", loc="left", fontsize=10)
@@ -173,13 +195,22 @@ def _draw_agreement(axes: Axes, run: RunRecords, seconds: Clock) -> None:
     )
     missed = ~agreed & ~known
     axes.plot(
-        stamps[missed], np.full(int(missed.sum()), 0.015), "|", ms=9, color=FAULT, label="missed"
+        stamps[missed],
+        np.full(int(missed.sum()), 0.015),
+        "|",
+        ms=9,
+        color=FAULT,
+        label="missed",
     )
     count = axes.twinx()
     # whichever the gate goes by
     name = "count" if pairs[-1].record.get("evidence") is None else "evidence"
     count.plot(
-        stamps, [r.record[name] for r in pairs], color=COUNT, lw=1.4, label=f"{name} (right)"
+        stamps,
+        [r.record[name] for r in pairs],
+        color=COUNT,
+        lw=1.4,
+        label=f"{name} (right)",
     )
     needed = pairs[-1].record["needed" if name == "count" else "evidence_needed"]
     count.axhline(needed, color=COUNT, lw=0.8, ls=":")
@@ -193,7 +224,11 @@ def _draw_agreement(axes: Axes, run: RunRecords, seconds: Clock) -> None:
 
 
 def _draw_separation(
-    axes: Axes, run: RunRecords, summary: Mapping[str, Any], truth: Truth | None, seconds: Clock
+    axes: Axes,
+    run: RunRecords,
+    summary: Mapping[str, Any],
+    truth: Truth | None,
+    seconds: Clock,
 ) -> None:
     """Between the drones: true where there is a world, and as D2 measured it by the marker."""
     axes.set_title("separation", loc="left", fontsize=10)
@@ -230,7 +265,12 @@ def _draw_separation(
     _legend(axes, [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")])
 
 
-def _draw_following(axes: Axes, run: RunRecords, truth: Truth | None, seconds: Clock) -> None:
+def _draw_following(
+    axes: Axes,
+    run: RunRecords,
+    truth: Truth | None,
+    seconds: Clock,
+) -> None:
     """D1 from its place behind the target, in truth."""
     axes.set_title("D1 from its place behind the target", loc="left", fontsize=10)
     axes.set_ylabel("m", fontsize=9)
@@ -245,7 +285,12 @@ def _draw_following(axes: Axes, run: RunRecords, truth: Truth | None, seconds: C
     axes.axhline(0.0, color=DIM, lw=0.8, ls=":")
     for column, name, style in ((0, "ahead: past it", "-"), (1, "to the right", "--")):
         axes.plot(
-            stamps, followed.off_m[:, column], color=ROLE[Role.SENDER], lw=1.4, ls=style, label=name
+            stamps,
+            followed.off_m[:, column],
+            color=ROLE[Role.SENDER],
+            lw=1.4,
+            ls=style,
+            label=name,
         )
     axes.set_ylim(-1.0, 1.0)
     _mark_commit(axes, run, seconds)
@@ -260,7 +305,11 @@ def _legend(axes: Axes, lines: Sequence[Line2D]) -> None:
     )  # fmt: skip
 
 
-def _mark_commit(axes: Axes, run: RunRecords, seconds: Clock) -> None:
+def _mark_commit(
+    axes: Axes,
+    run: RunRecords,
+    seconds: Clock,
+) -> None:
     commit = last(run.sender, "/commit")
     if commit is not None:
         x = seconds(Role.SENDER, commit.stamp_ns)

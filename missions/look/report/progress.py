@@ -39,7 +39,9 @@ def open_console(stream: TextIO) -> Generator[LineConsole | LiveTable]:
         return
     table = LiveTable()
     with Live(
-        get_renderable=table.render, console=Terminal(file=stream), refresh_per_second=REFRESH_HZ
+        get_renderable=table.render,
+        console=Terminal(file=stream),
+        refresh_per_second=REFRESH_HZ,
     ) as live:
         yield table
         live.refresh()
@@ -187,7 +189,9 @@ def open_tally(stream: TextIO, total: int) -> Generator[LineTally | LiveTally]:
         return
     tally = LiveTally(total)
     with Live(
-        get_renderable=tally.render, console=Terminal(file=stream), refresh_per_second=REFRESH_HZ
+        get_renderable=tally.render,
+        console=Terminal(file=stream),
+        refresh_per_second=REFRESH_HZ,
     ) as live:
         yield tally
         live.refresh()
@@ -223,6 +227,8 @@ class LiveTally:
         table = Table.grid(padding=(0, 2))
         bar = ProgressBar(total=self._total, completed=done, width=3 * BAR_WIDTH)
         table.add_row(
-            bar, f"{done}/{self._total} runs", counts_text(dict(self._outcomes.most_common()))
+            bar,
+            f"{done}/{self._total} runs",
+            counts_text(dict(self._outcomes.most_common())),
         )
         return table

@@ -25,7 +25,10 @@ COLUMNS = {
 
 
 def write_series_page(
-    path: Path, series: Mapping[str, Any], runs: Sequence[Mapping[str, Any]], command: str
+    path: Path,
+    series: Mapping[str, Any],
+    runs: Sequence[Mapping[str, Any]],
+    command: str,
 ) -> None:
     """Write the page of many runs. Raises OSError.
 

@@ -81,13 +81,22 @@ class Truth:
         T_w_v = self.T_w_b(Role.SENDER, Role.RECEIVER, stamp_ns) @ self.scene.T_b_v
         return T_w_v.inverse() @ self.T_w_c(Role.RECEIVER, stamp_ns)
 
-    def T_w_o(self, object_id: int, role: Role, stamp_ns: int) -> Pose:
+    def T_w_o(
+        self,
+        object_id: int,
+        role: Role,
+        stamp_ns: int,
+    ) -> Pose:
         """An object in the world."""
         x, y, z, yaw = self._at(self._objects[object_id], role, stamp_ns)
         return Pose(R_from_yaw(yaw), np.array([x, y, z]))
 
     def hit_o(
-        self, role: Role, stamp_ns: int, pixel: Sequence[float], object_id: int
+        self,
+        role: Role,
+        stamp_ns: int,
+        pixel: Sequence[float],
+        object_id: int,
     ) -> Vector | None:
         """Return where the ray of a pixel meets an object, in the object's frame; None when it
         misses.
@@ -96,7 +105,12 @@ class Truth:
         T_o_c = self.T_w_o(object_id, role, stamp_ns).inverse() @ self.T_w_c(role, stamp_ns)
         return first_hit(T_o_c.t, T_o_c.R @ np.array([x, y, 1.0]), self.scene.boxes)
 
-    def object_at(self, role: Role, stamp_ns: int, pixel: Sequence[float]) -> int:
+    def object_at(
+        self,
+        role: Role,
+        stamp_ns: int,
+        pixel: Sequence[float],
+    ) -> int:
         """The object whose middle is seen nearest to a pixel, of those that are there at that
         instant.
         """
@@ -111,13 +125,23 @@ class Truth:
 
         return min(self.object_ids, key=distance_px)
 
-    def T_w_b(self, body: Role, clock: Role, stamp_ns: int) -> Pose:
+    def T_w_b(
+        self,
+        body: Role,
+        clock: Role,
+        stamp_ns: int,
+    ) -> Pose:
         w, x, y, z = self._at(self._q[body], clock, stamp_ns)
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         R = R_from_quat((w / norm, x / norm, y / norm, z / norm))
         return Pose(R, np.array(self._at(self._t[body], clock, stamp_ns)))
 
-    def _at(self, values: Array, clock: Role, stamp_ns: int) -> list[float]:
+    def _at(
+        self,
+        values: Array,
+        clock: Role,
+        stamp_ns: int,
+    ) -> list[float]:
         """Values of shape (n, k), interpolated."""
         instant = self.to_world_ns(clock, stamp_ns) - self._start_ns
         k = min(max(int(self._since_ns.searchsorted(instant)), 1), len(self._since_ns) - 1)
@@ -172,7 +196,11 @@ def box_center(box: Sequence[float]) -> tuple[float, float]:
     return x + w / 2.0, y + h / 2.0
 
 
-def first_hit(origin: Vector, direction: Vector, boxes: Array) -> Vector | None:
+def first_hit(
+    origin: Vector,
+    direction: Vector,
+    boxes: Array,
+) -> Vector | None:
     """Return where a ray first enters one of the boxes (n, 6: centre, size; axes-aligned); None
     when it misses all.
     """

@@ -21,7 +21,10 @@ PLOTS = (
 
 
 def blueprint(
-    names: Sequence[str], drones: Sequence[str], plots: Sequence[str], eye: SceneEye | None = None
+    names: Sequence[str],
+    drones: Sequence[str],
+    plots: Sequence[str],
+    eye: SceneEye | None = None,
 ) -> rrb.Blueprint:
     """The window for logs by name, those ``drones`` among them that have images.
 
@@ -50,11 +53,15 @@ def blueprint(
         for drone in drones
     ]
     words = rrb.TextLogView(
-        origin="/", name="phases and reasons", contents=[f"/{name}/log" for name in names]
+        origin="/",
+        name="phases and reasons",
+        contents=[f"/{name}/log" for name in names],
     )
     series = [
         rrb.TimeSeriesView(
-            origin=f"/plots/{plot}", name=title, plot_legend=rrb.PlotLegend(visible=True)
+            origin=f"/plots/{plot}",
+            name=title,
+            plot_legend=rrb.PlotLegend(visible=True),
         )
         for plot, title in PLOTS
         if plot in plots

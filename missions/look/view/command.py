@@ -80,7 +80,11 @@ def have_rerun() -> None:
         )
 
 
-def write_rrd(logs: Sequence[Path], rrd: Path, folder: Path) -> None:
+def write_rrd(
+    logs: Sequence[Path],
+    rrd: Path,
+    folder: Path,
+) -> None:
     """Rerun's file of some logs; ``folder``: for what is needed meanwhile. Raises PartError,
     OSError.
     """
@@ -91,7 +95,9 @@ def write_rrd(logs: Sequence[Path], rrd: Path, folder: Path) -> None:
 
     merged = _merged(logs, folder)
     recording = rr.RecordingStream(
-        "path-handoff", recording_id=logs[0].resolve().name, batcher_config=_large_batches()
+        "path-handoff",
+        recording_id=logs[0].resolve().name,
+        batcher_config=_large_batches(),
     )
     topics: set[str] = set()
     recording.save(rrd)

@@ -79,7 +79,13 @@ class Drawing:
         """The kinds of plots that have something to show."""
         return sorted(self._plots)
 
-    def message(self, topic: str, schema: Schema, utc_ns: int, data: bytes) -> None:
+    def message(
+        self,
+        topic: str,
+        schema: Schema,
+        utc_ns: int,
+        data: bytes,
+    ) -> None:
         """One message of a merged log, whose topics begin with the drone's name."""
         name, _, own = topic.lstrip("/").partition("/")
         draw = self._draw.get(schema.name)
@@ -95,7 +101,9 @@ class Drawing:
         if own == "commit":
             self._end_lines(name, utc_ns)
         for path, value in self._figures.setdefault(name, PlottedValues()).of(
-            f"/{own}", utc_ns, record
+            f"/{own}",
+            utc_ns,
+            record,
         ):
             self._plot(name, path, utc_ns, value)
 
@@ -112,7 +120,13 @@ class Drawing:
         self._at(utc_ns)
         self._log(whole, rr.Clear(recursive=False))
 
-    def _plot(self, name: str, path: str, utc_ns: int, value: float) -> None:
+    def _plot(
+        self,
+        name: str,
+        path: str,
+        utc_ns: int,
+        value: float,
+    ) -> None:
         kind, _, what = path.partition("/")
         whole = f"plots/{kind}/{name}/{what}"
         if kind in OF_AN_ATTEMPT:
@@ -283,7 +297,11 @@ def _strips(lines: Sequence[Any]) -> rr.LineStrips3D:
     return rr.LineStrips3D(strips, colors=colors, radii=radii)
 
 
-def _pieces(points: list[Any], loop: bool, pairs: bool) -> list[list[Any]]:
+def _pieces(
+    points: list[Any],
+    loop: bool,
+    pairs: bool,
+) -> list[list[Any]]:
     if pairs:
         return [points[k : k + 2] for k in range(0, len(points), 2)]
     return [[*points, points[0]]] if loop and points else [points]

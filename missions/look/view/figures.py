@@ -27,7 +27,12 @@ class PlottedValues:
             "/cpu": self._cpu,
         }
 
-    def of(self, topic: str, utc_ns: int, record: Record) -> Iterator[Figure]:
+    def of(
+        self,
+        topic: str,
+        utc_ns: int,
+        record: Record,
+    ) -> Iterator[Figure]:
         """The figures of a record; what does not apply is left out."""
         make = self._of.get(topic)
         for path, value in () if make is None else make(utc_ns, record):
@@ -47,7 +52,12 @@ class PlottedValues:
         self._before["/cpu"] = utc_ns, spent
 
     def _rate(
-        self, path: str, topic: str, utc_ns: int, record: Record, name: str
+        self,
+        path: str,
+        topic: str,
+        utc_ns: int,
+        record: Record,
+        name: str,
     ) -> Iterator[Figure]:
         """Per second since the record before."""
         before_ns, before = self._before.get(topic, (utc_ns, {}))

@@ -22,13 +22,21 @@ LOST_AFTER = 3  # times that a piece may be begun again because its worker was l
 class ClusterWork:
     """A cluster's workers, which have this version of PATH installed. Made by ``open_cluster``."""
 
-    def __init__(self, client: Any, as_completed: Any, bars: Bars) -> None:
+    def __init__(
+        self,
+        client: Any,
+        as_completed: Any,
+        bars: Bars,
+    ) -> None:
         self._client = client
         self._as_completed = as_completed
         self._bars = bars
 
     def stream(
-        self, what: str, piece: Callable[[Item], Result], items: Sequence[Item]
+        self,
+        what: str,
+        piece: Callable[[Item], Result],
+        items: Sequence[Item],
     ) -> Iterator[Result]:
         """The results as they come. Raises what a piece raised, and PartError when the cluster is
         lost.

@@ -59,7 +59,7 @@ class MachineLevel:
 MACHINE_LEVELS: dict[LevelName, MachineLevel] = {
     "none": MachineLevel(),
     "lossy": MachineLevel(
-        loss=(0.1, 0.3), jitter_s=(0.0, 0.05), duplicate=0.1, corrupt=0.02, reorder=0.1, disk_s=0.01, late_s=0.005
+        loss=(0.1, 0.3), jitter_s=(0.0, 0.05), duplicate=0.1, corrupt=0.02, reorder=0.1, disk_s=0.01, late_s=0.005,
     ),
     "harsh": MachineLevel(
         loss=(0.3, 0.5), delay_s=(0.0, 0.02), jitter_s=(0.0, 0.2), duplicate=0.2, corrupt=0.1, reorder=0.2,

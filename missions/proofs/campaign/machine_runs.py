@@ -32,7 +32,11 @@ def replay(order: RunOrder, out: Path | None) -> RunLine:
     plan = draw(order.seed, level, number)
     sys.stdout.write(_story_of(plan))
 
-    def tell(time_s: float, who: str, what: str) -> None:
+    def tell(
+        time_s: float,
+        who: str,
+        what: str,
+    ) -> None:
         sys.stdout.write(f"{time_s:9.3f} s  {who:<9}{what}\n")
 
     return _line(level, number, Machines(plan, _channel(order.rig), tell).run())
@@ -42,7 +46,11 @@ def _channel(rig: str) -> OpenChannel:
     return trial_part(rig_library.load(rig), "channel")
 
 
-def _line(level: str, number: int, run: ProgramRun) -> RunLine:
+def _line(
+    level: str,
+    number: int,
+    run: ProgramRun,
+) -> RunLine:
     rounded = {name: round(value, 4) for name, value in run.figures.items()}
     return RunLine(number, level, run.outcome, run.violations, run.beyond, rounded, run.broken)
 

@@ -113,11 +113,20 @@ class RunPlan:
     late_s: float
 
 
-def seed_of(program: str, seed: int, level: str, number: int) -> str:
+def seed_of(
+    program: str,
+    seed: int,
+    level: str,
+    number: int,
+) -> str:
     return f"{program} {seed} {level} {number}"
 
 
-def draw(seed: int, level: LevelName, number: int) -> RunPlan:
+def draw(
+    seed: int,
+    level: LevelName,
+    number: int,
+) -> RunPlan:
     """The plan of a run of the machines."""
     of = MACHINE_LEVELS[level]
     name = seed_of("machines", seed, level, number)
@@ -172,7 +181,11 @@ def _when(rng: random.Random, commit_s: float) -> float:
     )
 
 
-def _outage(of: MachineLevel, rng: random.Random, commit_s: float) -> Outage:
+def _outage(
+    of: MachineLevel,
+    rng: random.Random,
+    commit_s: float,
+) -> Outage:
     begin_s = _when(rng, commit_s)
     return Outage(begin_s, begin_s + rng.uniform(0.05, of.outage_s), rng.choice((*ROLES, None)))
 
@@ -182,7 +195,11 @@ def _step(rng: random.Random) -> float:
     return rng.choice((-1.0, 1.0)) * size_s
 
 
-def _crashes(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Crash, ...]:
+def _crashes(
+    of: MachineLevel,
+    rng: random.Random,
+    commit_s: float,
+) -> tuple[Crash, ...]:
     crashes: list[Crash] = []
     while len(crashes) < 2 and rng.random() < of.crash:
         at_s = _when(rng, commit_s)
@@ -197,7 +214,9 @@ def _crashes(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Cra
 
 
 def _forgetful(
-    of: MachineLevel, rng: random.Random, crashes: tuple[Crash, ...]
+    of: MachineLevel,
+    rng: random.Random,
+    crashes: tuple[Crash, ...],
 ) -> tuple[Crash, ...]:
     def one(crash: Crash) -> Crash:
         kind: Forgotten = "newest" if rng.random() < 0.5 else "all"
@@ -206,7 +225,11 @@ def _forgetful(
     return tuple(one(crash) for crash in crashes)
 
 
-def _stalls(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Stall, ...]:
+def _stalls(
+    of: MachineLevel,
+    rng: random.Random,
+    commit_s: float,
+) -> tuple[Stall, ...]:
     """Half of them sleep over the lease's end, if the COMMIT comes when it is expected."""
     stalls: list[Stall] = []
     for _ in range(2):
@@ -218,7 +241,11 @@ def _stalls(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[Stal
     return tuple(stalls)
 
 
-def _blind(of: MachineLevel, rng: random.Random, commit_s: float) -> tuple[float, float] | None:
+def _blind(
+    of: MachineLevel,
+    rng: random.Random,
+    commit_s: float,
+) -> tuple[float, float] | None:
     if rng.random() >= of.unable:
         return None
     begin_s = commit_s + rng.uniform(-1.0, 1.0)

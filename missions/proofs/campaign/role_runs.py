@@ -50,19 +50,33 @@ STALL = 0.3  # chance that a program stands still, drawn twice
 FORGET = 0.3
 
 
-def draw(seed: int, level: LevelName, number: int) -> tuple[int, tuple[str, ...]]:
+def draw(
+    seed: int,
+    level: LevelName,
+    number: int,
+) -> tuple[int, tuple[str, ...]]:
     """The run's own seed, and its faults as a user would order them."""
     rng = random.Random(seed_of("roles", seed, level, number))
     faults: list[str] = []
     if level == "lossy":
         faults += _link(
-            rng, loss=(0.1, 0.3), jitter_s=0.05, duplicate=0.1, corrupt=0.02, reorder=0.1
+            rng,
+            loss=(0.1, 0.3),
+            jitter_s=0.05,
+            duplicate=0.1,
+            corrupt=0.02,
+            reorder=0.1,
         )
     elif level == "harsh":
         faults += _link(rng, loss=(0.3, 0.5), jitter_s=0.2, duplicate=0.2, corrupt=0.1, reorder=0.2)
     elif level == "hostile":
         faults += _link(
-            rng, loss=(0.0, 0.3), jitter_s=0.05, duplicate=0.2, corrupt=0.1, reorder=0.2
+            rng,
+            loss=(0.0, 0.3),
+            jitter_s=0.05,
+            duplicate=0.2,
+            corrupt=0.1,
+            reorder=0.2,
         )
         faults += [
             f"{name}@{_moment(rng, CONCERNS[name])}"
@@ -184,7 +198,14 @@ def _shorter(order: RunOrder) -> Rig:
     return rig_library.shorter(rig)
 
 
-def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit: Emit) -> RunLine:
+def _fly(
+    rig: Rig,
+    seed: int,
+    level: LevelName,
+    number: int,
+    folder: Path,
+    emit: Emit,
+) -> RunLine:
     own, faults = draw(seed, level, number)
     with claimed(folder, RUN):
         report = fly_watched(
@@ -196,7 +217,13 @@ def _fly(rig: Rig, seed: int, level: LevelName, number: int, folder: Path, emit:
     rounded = {name: round(value, 4) for name, value in figures.items()}
     name = "commit" if outcome is Outcome.COMMITTED else outcome.label.replace("_", " ")
     return RunLine(
-        number, level, name, violations, tuple(report.beyond), rounded, tuple(report.broken)
+        number,
+        level,
+        name,
+        violations,
+        tuple(report.beyond),
+        rounded,
+        tuple(report.broken),
     )
 
 

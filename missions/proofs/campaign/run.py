@@ -47,7 +47,10 @@ class Workers(Protocol):
     """The workers: this computer's cores, or a cluster's."""
 
     def stream(
-        self, what: str, piece: Callable[[RunOrder], list[RunLine]], items: Sequence[RunOrder]
+        self,
+        what: str,
+        piece: Callable[[RunOrder], list[RunLine]],
+        items: Sequence[RunOrder],
     ) -> Iterator[list[RunLine]]: ...
 
 
@@ -90,7 +93,11 @@ def run(options: CampaignOptions) -> int:
         return _fly(options, levels, folder)
 
 
-def _fly(options: CampaignOptions, levels: Sequence[LevelName], folder: Path) -> int:
+def _fly(
+    options: CampaignOptions,
+    levels: Sequence[LevelName],
+    folder: Path,
+) -> int:
     asked: dict[str, Any] = {
         "program": options.program,
         "rig": options.rig,
@@ -136,11 +143,17 @@ def _fly(options: CampaignOptions, levels: Sequence[LevelName], folder: Path) ->
             )
             return CommandEnd.STOPPED.exit_code
         return report(
-            options, folder, [line for line in results.lines if line.number < options.runs]
+            options,
+            folder,
+            [line for line in results.lines if line.number < options.runs],
         )
 
 
-def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> int:
+def report(
+    options: CampaignOptions,
+    folder: Path,
+    lines: Sequence[RunLine],
+) -> int:
     """Write and show what came of the runs; return the exit code."""
     command = partial(replay_command, options)
     summary = summarize(options.program, options.seed, lines, command)
@@ -161,7 +174,10 @@ def report(options: CampaignOptions, folder: Path, lines: Sequence[RunLine]) -> 
 def junit_case(options: CampaignOptions, line: RunLine) -> JUnitCase:
     """A run as a test case: it fails by what it violated."""
     return JUnitCase(
-        f"{line.level} {line.number}", line.outcome, replay_command(options, line), line.violations
+        f"{line.level} {line.number}",
+        line.outcome,
+        replay_command(options, line),
+        line.violations,
     )
 
 
@@ -182,7 +198,11 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
             f"name it with --faults, one of {', '.join(LEVELS)}",
         )
     order = RunOrder(
-        options.rig, options.seed, ((levels[0], options.only),), options.errors, options.hours
+        options.rig,
+        options.seed,
+        ((levels[0], options.only),),
+        options.errors,
+        options.hours,
     )
     line = KINDS[options.program].replay(order, options.out)
     broken = " and ".join(BROKEN[name] for name in line.broken)

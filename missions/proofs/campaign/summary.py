@@ -23,7 +23,10 @@ BROKEN = {
 
 
 def summarize(
-    program: str, seed: int, lines: Sequence[RunLine], command: Callable[[RunLine], str]
+    program: str,
+    seed: int,
+    lines: Sequence[RunLine],
+    command: Callable[[RunLine], str],
 ) -> dict[str, Any]:
     """``summary.json``. ``command`` makes the line that replays a run."""
     from missions.proofs.campaign.bounds import BOUNDS  # noqa: PLC0415

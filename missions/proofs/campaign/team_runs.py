@@ -73,7 +73,13 @@ class TeamPlan:
     faults: tuple[str, ...]
 
 
-def draw(config: TeamConfig, seed: int, level: LevelName, number: int, hours: float) -> TeamPlan:
+def draw(
+    config: TeamConfig,
+    seed: int,
+    level: LevelName,
+    number: int,
+    hours: float,
+) -> TeamPlan:
     """The plan of a run."""
     rng = random.Random(seed_of("team", seed, level, number))
     targets = rng.randint(1, len(config.targets))
@@ -85,7 +91,11 @@ def draw(config: TeamConfig, seed: int, level: LevelName, number: int, hours: fl
     return TeamPlan(rng.getrandbits(31), drones, targets, moved, tuple(_faults(rng, level, legs)))
 
 
-def _faults(rng: random.Random, level: LevelName, legs: int) -> list[str]:
+def _faults(
+    rng: random.Random,
+    level: LevelName,
+    legs: int,
+) -> list[str]:
     """Of the link in all legs; of programs, cameras, vehicles and batteries in some, a fifth of
     them at most.
     """

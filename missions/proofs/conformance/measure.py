@@ -99,7 +99,11 @@ class FlightSuite:
         await stack.aclose()
 
 
-async def _within(stage: FlightStage, flight: SuiteFlight, measured: VehicleMeasures) -> None:
+async def _within(
+    stage: FlightStage,
+    flight: SuiteFlight,
+    measured: VehicleMeasures,
+) -> None:
     """The flight, within its limit. Raises PartError."""
     task = asyncio.ensure_future(flight.fly(stage))
     try:

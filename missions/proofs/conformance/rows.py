@@ -167,7 +167,11 @@ def said(row: Row, values: Mapping[str, Value]) -> str:
     return f"{value:.{row.digits}f} {row.unit}".strip()
 
 
-def alike(row: Row, a: Value, b: Value) -> bool:
+def alike(
+    row: Row,
+    a: Value,
+    b: Value,
+) -> bool:
     """Returns whether two vehicles do the same here, as far as a mission would notice."""
     if row.alike is None or isinstance(a, str) or isinstance(b, str) or a is None or b is None:
         return a == b
@@ -176,7 +180,9 @@ def alike(row: Row, a: Value, b: Value) -> bool:
 
 
 def likeness(
-    row: Row, embedded: Mapping[str, Value], real: Mapping[str, Mapping[str, Value]]
+    row: Row,
+    embedded: Mapping[str, Value],
+    real: Mapping[str, Mapping[str, Value]],
 ) -> str:
     """Whom the embedded vehicle is like; empty where there is nothing to compare."""
     others = {name: values[row.name] for name, values in real.items() if row.name in values}

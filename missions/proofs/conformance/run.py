@@ -44,7 +44,11 @@ def run(options: ConformanceOptions) -> int:
         return _run(options, flights, folder)
 
 
-def _run(options: ConformanceOptions, flights: Sequence[SuiteFlight], folder: Path) -> int:
+def _run(
+    options: ConformanceOptions,
+    flights: Sequence[SuiteFlight],
+    folder: Path,
+) -> int:
     failed = False
     for vehicle in _wanted(options):
         try:
@@ -81,7 +85,11 @@ def _wanted(options: ConformanceOptions) -> list[str]:
     return wanted
 
 
-def fly(vehicle: str, flights: Sequence[SuiteFlight], folder: Path) -> Record:
+def fly(
+    vehicle: str,
+    flights: Sequence[SuiteFlight],
+    folder: Path,
+) -> Record:
     """One vehicle through these flights. Raises PartError when it never becomes ready."""
     rig = rig_library.load(RIGS[vehicle])
     made = f"{datetime.now():%Y-%m-%d %H:%M}"

@@ -78,7 +78,10 @@ class FlightStage:
         return yaw_of(self.bench.instants[-1].q_n_b)
 
     async def until(
-        self, condition: Callable[[], bool], limit_s: float, each: Callable[[], None] = lambda: None
+        self,
+        condition: Callable[[], bool],
+        limit_s: float,
+        each: Callable[[], None] = lambda: None,
     ) -> float | None:
         """Seconds until it came true, None when it did not within ``limit_s``. Raises PartError of
         the bench.
@@ -115,7 +118,10 @@ class FlightStage:
         return await self.order(TAKE_OFF, 0.0, 0.0, 0.0, unset, unset, unset, above)
 
     def answer(
-        self, command: int, since_s: float, to: tuple[int, ...] | None = None
+        self,
+        command: int,
+        since_s: float,
+        to: tuple[int, ...] | None = None,
     ) -> CommandAnswer | None:
         """The first acknowledgement of a command since then."""
         own = (
@@ -160,7 +166,10 @@ class FlightStage:
         return len(self.heard.shown) > 1 and self.heard.shown[-2].time_s > since_s
 
     async def fly(
-        self, velocity_n_mps: tuple[float, float, float], yaw_rad: float, seconds: float
+        self,
+        velocity_n_mps: tuple[float, float, float],
+        yaw_rad: float,
+        seconds: float,
     ) -> float:
         """Setpoints for some time; the moment of the first."""
         setpoint = VelocitySetpoint(velocity_n_mps, yaw_rad)

@@ -34,7 +34,10 @@ class FlightTrack:
 
     @classmethod
     def of(
-        cls, instants: Sequence[Instant], start_s: float, end_s: float = math.inf
+        cls,
+        instants: Sequence[Instant],
+        start_s: float,
+        end_s: float = math.inf,
     ) -> FlightTrack:
         own = [each for each in instants if start_s <= each.time_s <= end_s]
         return cls(
@@ -46,7 +49,11 @@ class FlightTrack:
         )
 
 
-def first(t: Array, holds: Flags, from_s: float) -> float | None:
+def first(
+    t: Array,
+    holds: Flags,
+    from_s: float,
+) -> float | None:
     """Seconds from ``from_s`` until the first sample for which it holds; None when it never
     does.
     """
@@ -54,7 +61,11 @@ def first(t: Array, holds: Flags, from_s: float) -> float | None:
     return float(t[found[0]] - from_s) if len(found) else None
 
 
-def fastest_mps(t: Array, values: Array, window_s: float = 0.5) -> float | None:
+def fastest_mps(
+    t: Array,
+    values: Array,
+    window_s: float = 0.5,
+) -> float | None:
     """Steepest slope of ``values`` over any window."""
     later = np.searchsorted(t, t + window_s)
     whole = later < len(t)
@@ -75,7 +86,12 @@ class Response:
     error_mps: float
 
 
-def response(t: Array, speed: Array, from_s: float, wanted_mps: float) -> Response:
+def response(
+    t: Array,
+    speed: Array,
+    from_s: float,
+    wanted_mps: float,
+) -> Response:
     """``speed`` in the direction of the step; the last second counts as settled."""
     rise_s = first(t, speed >= 0.632 * wanted_mps, from_s)
     settled = speed[t >= t[-1] - 1.0]
@@ -84,7 +100,9 @@ def response(t: Array, speed: Array, from_s: float, wanted_mps: float) -> Respon
 
 
 def standing(
-    track: FlightTrack, from_s: float, slow_mps: float = 0.2
+    track: FlightTrack,
+    from_s: float,
+    slow_mps: float = 0.2,
 ) -> tuple[float | None, float | None]:
     """Seconds and metres from a moment until the horizontal speed was first below ``slow_mps``."""
     speed = np.hypot(track.velocity[:, 0], track.velocity[:, 1])
@@ -161,7 +179,9 @@ def when(changes: Sequence[tuple[float, str]], name: str) -> float | None:
 
 
 def landed_since(
-    landed: Sequence[tuple[float, int]], from_s: float, end_s: float
+    landed: Sequence[tuple[float, int]],
+    from_s: float,
+    end_s: float,
 ) -> list[tuple[float, str]]:
     """(seconds after ``from_s``, landed state) of every change, with the one at the start."""
     changes: list[tuple[float, str]] = []
@@ -172,11 +192,19 @@ def landed_since(
     return changes
 
 
-def rate_hz(arrivals_s: Sequence[float], start_s: float, end_s: float) -> float:
+def rate_hz(
+    arrivals_s: Sequence[float],
+    start_s: float,
+    end_s: float,
+) -> float:
     count = sum(start_s <= each <= end_s for each in arrivals_s)
     return count / (end_s - start_s)
 
 
-def longest_gap_s(arrivals_s: Sequence[float], start_s: float, end_s: float) -> float | None:
+def longest_gap_s(
+    arrivals_s: Sequence[float],
+    start_s: float,
+    end_s: float,
+) -> float | None:
     own = [each for each in arrivals_s if start_s <= each <= end_s]
     return max((b - a for a, b in pairwise(own)), default=None)

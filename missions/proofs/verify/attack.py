@@ -143,7 +143,11 @@ def earlier_flights(out: Path) -> list[tuple[int, bytes]]:
 
 
 async def attack(
-    rate_hz: float, air: int, ends: tuple[Address, Address], seed: int, out: Path
+    rate_hz: float,
+    air: int,
+    ends: tuple[Address, Address],
+    seed: int,
+    out: Path,
 ) -> None:
     """Attacks until stdin is closed."""
     loop = asyncio.get_running_loop()

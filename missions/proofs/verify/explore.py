@@ -224,7 +224,11 @@ def explore(
     )
 
 
-def _one_instant(trail: _Trail, seen: SeenWorlds, waiting: list[ModelWorld]) -> list[ModelWorld]:
+def _one_instant(
+    trail: _Trail,
+    seen: SeenWorlds,
+    waiting: list[ModelWorld],
+) -> list[ModelWorld]:
     """Everything that can happen before the next tick, and the worlds of that tick."""
     ticks: list[tuple[ModelWorld, ModelWorld]] = []
     for world in waiting:  # grows while it is walked through

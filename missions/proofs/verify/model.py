@@ -196,7 +196,12 @@ def candidate(live: Handoff) -> Candidate:
     )  # fmt: skip
 
 
-def status(role: Role, responsible: bool, stamp: int, instance: int = RECEIVER_ID) -> Status:
+def status(
+    role: Role,
+    responsible: bool,
+    stamp: int,
+    instance: int = RECEIVER_ID,
+) -> Status:
     return Status(role, stamp, ORIGIN, ORIGIN, 0.0, 0, responsible, True, 1.0, instance)
 
 

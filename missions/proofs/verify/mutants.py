@@ -86,7 +86,12 @@ def _early(commit: Any) -> Any:
 
 
 def _agreement_of_anything(commit: Any) -> Any:
-    def careless(config: Any, state: Any, agreed: Any, now_ns: int) -> Any:
+    def careless(
+        config: Any,
+        state: Any,
+        agreed: Any,
+        now_ns: int,
+    ) -> Any:
         return commit(
             config,
             state,
@@ -98,7 +103,12 @@ def _agreement_of_anything(commit: Any) -> Any:
 
 
 def _same_epoch_again(offer: Any) -> Any:
-    def repeating(config: Any, state: Any, event: Any, now_ns: int) -> Any:
+    def repeating(
+        config: Any,
+        state: Any,
+        event: Any,
+        now_ns: int,
+    ) -> Any:
         before = (
             replace(state, epoch=state.epoch - 1)
             if isinstance(state, sender.Idle | sender.Keeping)
@@ -118,17 +128,30 @@ def _takes_back_when_unsure(settle: Any) -> Any:
 
 
 def _confirms_what_was_aborted(hear_accept: Any) -> Any:
-    def deaf(config: Any, state: Any, accept: Any, now_ns: int) -> Any:
+    def deaf(
+        config: Any,
+        state: Any,
+        accept: Any,
+        now_ns: int,
+    ) -> Any:
         same = accept.nonce == state.commit.nonce
         return hear_accept(
-            config, replace(state, withdrawn=None) if same else state, accept, now_ns
+            config,
+            replace(state, withdrawn=None) if same else state,
+            accept,
+            now_ns,
         )
 
     return deaf
 
 
 def _any_nonce(hear_accept: Any) -> Any:
-    def trusting(config: Any, state: Any, accept: Any, now_ns: int) -> Any:
+    def trusting(
+        config: Any,
+        state: Any,
+        accept: Any,
+        now_ns: int,
+    ) -> Any:
         return hear_accept(config, state, replace(accept, nonce=state.commit.nonce), now_ns)
 
     return trusting
@@ -185,7 +208,11 @@ def _told_by_any_receiver(tells: Any) -> Any:
 
 
 def _never_lets_go(elapse: Any) -> Any:
-    def clinging(config: Any, state: Any, now_ns: int) -> Any:
+    def clinging(
+        config: Any,
+        state: Any,
+        now_ns: int,
+    ) -> Any:
         return (
             (state, ())
             if isinstance(state, receiver.Provisional)
@@ -199,7 +226,13 @@ def _restored_as(make: Callable[[Any, int], Any]) -> Callable[[Any], Any]:
     """A restart that makes this of the record and the time, when it has one of a handoff."""
 
     def of(restored: Any) -> Any:
-        def wrong_restart(config: Any, kept: Any, now_ns: int, *, same_clock: bool = True) -> Any:
+        def wrong_restart(
+            config: Any,
+            kept: Any,
+            now_ns: int,
+            *,
+            same_clock: bool = True,
+        ) -> Any:
             if kept.live is None:
                 return restored(config, kept, now_ns, same_clock=same_clock)
             return make(kept, now_ns)
@@ -213,7 +246,13 @@ def _restored_idle_as(make: Callable[[int], Any]) -> Callable[[Any], Any]:
     """A restart that makes this of the epoch, when nothing is given away."""
 
     def of(restored: Any) -> Any:
-        def wrong_restart(config: Any, kept: Any, now_ns: int, *, same_clock: bool = True) -> Any:
+        def wrong_restart(
+            config: Any,
+            kept: Any,
+            now_ns: int,
+            *,
+            same_clock: bool = True,
+        ) -> Any:
             return (
                 make(kept.epoch)
                 if kept.live is None
@@ -233,7 +272,10 @@ def _holds_on(kept: Any, now_ns: int) -> Any:
             return receiver.Provisional(kept.live, kept.nonce, now_ns + 2, now_ns, kept.sure_ns)
         case _:
             return receiver.LetGo(
-                kept.live, kept.nonce, kept.sure_ns, max(kept.sure_ns, now_ns) + 2
+                kept.live,
+                kept.nonce,
+                kept.sure_ns,
+                max(kept.sure_ns, now_ns) + 2,
             )
 
 
@@ -256,7 +298,11 @@ def _never_taken_back(_: Any) -> Any:
 
 
 def _lease_to_the_end(_: Any) -> Any:
-    def unguarded(config: Any, lease_end_ns: int, uncertainty_ns: int) -> int:
+    def unguarded(
+        config: Any,
+        lease_end_ns: int,
+        uncertainty_ns: int,
+    ) -> int:
         del config, uncertainty_ns
         return lease_end_ns
 
@@ -264,7 +310,11 @@ def _lease_to_the_end(_: Any) -> Any:
 
 
 def _lease_without_guard(_: Any) -> Any:
-    def tight(config: Any, lease_end_ns: int, uncertainty_ns: int) -> int:
+    def tight(
+        config: Any,
+        lease_end_ns: int,
+        uncertainty_ns: int,
+    ) -> int:
         del config
         return lease_end_ns - uncertainty_ns
 

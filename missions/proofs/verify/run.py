@@ -144,12 +144,17 @@ def _piece(piece: Job | int) -> Explored | ModelMutant:
     catch = caught(mutant)
     broke = next(iter(catch.broken)) if catch else ""
     return ModelMutant(
-        mutant.rule, broke, catch.states if catch else 0, (stopwatch_ns() - began) * 1e-9
+        mutant.rule,
+        broke,
+        catch.states if catch else 0,
+        (stopwatch_ns() - began) * 1e-9,
     )
 
 
 def summarize(
-    explored: list[Explored], tried: list[ModelMutant], wall_s: float
+    explored: list[Explored],
+    tried: list[ModelMutant],
+    wall_s: float,
 ) -> dict[str, object]:
     """``summary.json``. ``holds`` says whether all is as it must be."""
     violations: Counter[str] = Counter()
@@ -206,7 +211,12 @@ def _of_scope(one: Explored) -> dict[str, object]:
     }
 
 
-def show(explored: list[Explored], tried: list[ModelMutant], wall_s: float, stream: TextIO) -> None:
+def show(
+    explored: list[Explored],
+    tried: list[ModelMutant],
+    wall_s: float,
+    stream: TextIO,
+) -> None:
     """Tables, and the way to the first violation of each scope."""
     write = stream.write
     write(

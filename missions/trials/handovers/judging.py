@@ -78,7 +78,11 @@ class JudgedAttempt:
 Attempts = Sequence[JudgedAttempt]
 
 
-def verdict_of(series: Series, method: MethodConfig, gate: GateKind) -> Verdict:
+def verdict_of(
+    series: Series,
+    method: MethodConfig,
+    gate: GateKind,
+) -> Verdict:
     """Return what a gate makes of all that D1 was told."""
     own = replace(method, gate=gate)
     done = tell(series, make_gate(own), own) if len(series) else None

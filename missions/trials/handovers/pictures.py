@@ -30,7 +30,13 @@ def draw_shares(
     share = np.arange(1, len(seconds) + 1) / attempts
     named = f"{label} ({len(seconds)} of {attempts})"
     axes.step(
-        np.sort(seconds), share, where="post", color=COLOURS[gate], ls=style, lw=1.4, label=named
+        np.sort(seconds),
+        share,
+        where="post",
+        color=COLOURS[gate],
+        ls=style,
+        lw=1.4,
+        label=named,
     )
     axes.set_ylim(0.0, 1.02)
     axes.grid(alpha=0.3)

@@ -102,7 +102,12 @@ class BoardSeen:
         matrix, lens = matrices_of(self.camera)
         turn, _ = cv2.Rodrigues(start.R)
         turn, shift = cv2.solvePnPRefineLM(
-            square, pixels, matrix, lens, turn, start.t.reshape(3, 1).copy()
+            square,
+            pixels,
+            matrix,
+            lens,
+            turn,
+            start.t.reshape(3, 1).copy(),
         )
         return Pose(
             rotation.exp(np.asarray(turn, np.float64).ravel()),
@@ -199,7 +204,10 @@ def _look_at_grid(own: RealSet, greys: Sequence[tuple[str, Image]]) -> SetSeen:
             points = np.concatenate([own.markers[i].corners_o for i in found])
             shots.append(
                 Photograph(
-                    name, grey, points, np.concatenate([f.corners_px for f in found.values()])
+                    name,
+                    grey,
+                    points,
+                    np.concatenate([f.corners_px for f in found.values()]),
                 )
             )
             begun.append(start)
@@ -266,7 +274,11 @@ def _given(own: RealSet, grey: Image) -> CameraModel | None:
         raise PartError(f"{own.name}: camera: {error}", REMEDY) from error
 
 
-def see_board(camera: CameraModel, shot: Photograph, order: int) -> BoardSeen:
+def see_board(
+    camera: CameraModel,
+    shot: Photograph,
+    order: int,
+) -> BoardSeen:
     """The board's pose in one photograph, and its bend. Raises PartError."""
     try:
         pose, errors = pose_of_points(camera, shot.points_o, shot.corners_px)

@@ -59,7 +59,11 @@ class CellEdges:
         return np.asarray((moved[:, None, None, :] + reach) / self.n, np.float64)
 
 
-def inner_edges(own: RealSet, seen: SetSeen, measured: MethodPoses) -> dict[int, Array]:
+def inner_edges(
+    own: RealSet,
+    seen: SetSeen,
+    measured: MethodPoses,
+) -> dict[int, Array]:
     """By marker (2, n - 1): by how much the lines between its columns, and its rows, are off, in
     cells.
 
@@ -81,7 +85,9 @@ def inner_edges(own: RealSet, seen: SetSeen, measured: MethodPoses) -> dict[int,
         wider = _wider(edges, read)
         for i, one in edges.items():
             more, doubt[i] = _agreed(
-                one, read[i] - wider * np.where(one.rising, 1.0, -1.0), lines[i]
+                one,
+                read[i] - wider * np.where(one.rising, 1.0, -1.0),
+                lines[i],
             )
             off[i] = off[i] + more
     size, noise = (sum(float(np.sum(some**2)) for some in those.values()) for those in (off, doubt))
@@ -104,7 +110,11 @@ def _edges_of(cells: Flags) -> CellEdges:
         np.column_stack([rows + 0.5, lines]),
     )
     return CellEdges(
-        n, middles, axes, axes * (n - 1) + lines - 1, np.array([edge[3] for edge in found])
+        n,
+        middles,
+        axes,
+        axes * (n - 1) + lines - 1,
+        np.array([edge[3] for edge in found]),
     )
 
 
@@ -124,7 +134,12 @@ def _views(measured: MethodPoses, marker_id: int) -> list[int]:
     return sorted({marker.view for marker in measured.seen if marker.marker_id == marker_id})
 
 
-def _read_all(edges: CellEdges, points_o: Array, seen: SetSeen, views: Sequence[int]) -> Array:
+def _read_all(
+    edges: CellEdges,
+    points_o: Array,
+    seen: SetSeen,
+    views: Sequence[int],
+) -> Array:
     return np.stack(
         [_read(edges.rising, points_o, seen.photographs[view], seen.boards[view]) for view in views]
     )
@@ -142,7 +157,12 @@ def _wider(edges: Mapping[int, CellEdges], read: Mapping[int, Array]) -> float:
     return 0.5 * (rising - falling)
 
 
-def _read(rising: Flags, points_o: Array, shot: Photograph, board: BoardSeen) -> Array:
+def _read(
+    rising: Flags,
+    points_o: Array,
+    shot: Photograph,
+    board: BoardSeen,
+) -> Array:
     """By how far from its place (k, along, across, 3) each edge is in one view, in cells; nan where
     it is not seen.
     """
@@ -151,11 +171,17 @@ def _read(rising: Flags, points_o: Array, shot: Photograph, board: BoardSeen) ->
     if thinning is not None:
         for axis, size in enumerate(shot.grey.shape[::-1]):
             pixels[:, axis] = np.interp(
-                pixels[:, axis], thinning.places(np.arange(size), axis), np.arange(size)
+                pixels[:, axis],
+                thinning.places(np.arange(size), axis),
+                np.arange(size),
             )
     u, v = (np.ascontiguousarray(pixels[:, axis].reshape(1, -1), np.float32) for axis in (0, 1))
     light = cv2.remap(
-        shot.grey.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        shot.grey.astype(np.float32),
+        u,
+        v,
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     profile = np.asarray(light, np.float64).reshape(points_o.shape[:3]).mean(axis=1)
     change = np.diff(np.where(rising, 1.0, -1.0)[:, None] * profile, axis=1).clip(0.0, None)
@@ -164,7 +190,11 @@ def _read(rising: Flags, points_o: Array, shot: Photograph, board: BoardSeen) ->
     return np.where(whole > LEAST_CHANGE, change @ middles / np.maximum(whole, 1e-9), np.nan)
 
 
-def _agreed(edges: CellEdges, read: Array, lines: int) -> tuple[Array, Array]:
+def _agreed(
+    edges: CellEdges,
+    read: Array,
+    lines: int,
+) -> tuple[Array, Array]:
     """By how much each line is off, and the standard error of that; 0 of both where it is not
     seen.
     """

@@ -51,7 +51,11 @@ def starts(own: RealSet, grey: Image) -> dict[int, Matrix]:
 
 
 def corners_by(
-    method: str, own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel
+    method: str,
+    own: RealSet,
+    grey: Image,
+    start: Mapping[int, Matrix],
+    camera: CameraModel,
 ) -> Corners:
     """Every marker of the board that a method finds."""
     if method == "photometric":
@@ -63,7 +67,10 @@ def corners_by(
 
 
 def by_photometry(
-    own: RealSet, grey: Image, start: Mapping[int, Matrix], camera: CameraModel
+    own: RealSet,
+    grey: Image,
+    start: Mapping[int, Matrix],
+    camera: CameraModel,
 ) -> Corners:
     """The project's own corners; where the fit is not to be trusted those it falls back to."""
     found: Corners = {}
@@ -83,7 +90,11 @@ def by_photometry(
     return found
 
 
-def _by_opencv(own: RealSet, grey: Image, method: str) -> Corners:
+def _by_opencv(
+    own: RealSet,
+    grey: Image,
+    method: str,
+) -> Corners:
     if own.dictionary is None:
         return {}
     parameters = cv2.aruco.DetectorParameters()

@@ -106,14 +106,22 @@ class MethodPoses:
     print_m: dict[int, Array]
 
 
-def printed(own: RealSet, larger: float, marker_id: int) -> Matrix:
+def printed(
+    own: RealSet,
+    larger: float,
+    marker_id: int,
+) -> Matrix:
     """A marker's corners (4, 3) on the board, all markers so much larger than the file says."""
     corners = own.markers[marker_id].corners_o
     middle = corners.mean(axis=0)
     return middle + (corners - middle) * (1.0 + larger)
 
 
-def measure_set(own: RealSet, seen: SetSeen, found: Sequence[Corners]) -> MethodPoses:
+def measure_set(
+    own: RealSet,
+    seen: SetSeen,
+    found: Sequence[Corners],
+) -> MethodPoses:
     """Errors of what a method found in each view."""
     raw: list[SeenMarker] = []
     pairs = list(zip(seen.boards, found, strict=True))
@@ -171,14 +179,21 @@ def _print_of(markers: Sequence[SeenMarker], flat: bool) -> Array:
     )
 
 
-def _without_print(marker: SeenMarker, print_m: Array | None, views: int, flat: bool) -> SeenMarker:
+def _without_print(
+    marker: SeenMarker,
+    print_m: Array | None,
+    views: int,
+    flat: bool,
+) -> SeenMarker:
     if print_m is None:
         return marker
     lifted = marker.rises * print_m[:, 2:]
     left = marker.nominal_px - np.einsum("kij,kj->ki", marker.slopes, print_m[:, :2]) - lifted
     unknowns = 2 if _in_plane(views, flat) else 3
     return replace(
-        marker, error_px=left * math.sqrt(2 * views / (2 * views - unknowns)), lifted_px=lifted
+        marker,
+        error_px=left * math.sqrt(2 * views / (2 * views - unknowns)),
+        lifted_px=lifted,
     )
 
 

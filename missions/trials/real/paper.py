@@ -66,7 +66,11 @@ class InkMoves:
     inner: tuple[Array, ...] = ()
 
 
-def ink_moves(own: RealSet, seen: SetSeen, measured: MethodPoses | None) -> InkMoves:
+def ink_moves(
+    own: RealSet,
+    seen: SetSeen,
+    measured: MethodPoses | None,
+) -> InkMoves:
     """The moves that all views agree on, of squares, of markers and of the edges inside them."""
     markers = () if measured is None else tuple(
         (
@@ -77,7 +81,9 @@ def ink_moves(own: RealSet, seen: SetSeen, measured: MethodPoses | None) -> InkM
     )  # fmt: skip
     errors: dict[tuple[float, float], list[tuple[Array, Array]]] = {}
     for shot, board in zip(
-        seen.photographs if own.board is not None else (), seen.boards, strict=False
+        seen.photographs if own.board is not None else (),
+        seen.boards,
+        strict=False,
     ):
         left = shot.corners_px - board.pixels(shot.points_o)
         slopes = board.slopes(shot.points_o)
@@ -96,7 +102,11 @@ def ink_moves(own: RealSet, seen: SetSeen, measured: MethodPoses | None) -> InkM
     return InkMoves(squares, markers, tuple(inner[i] for i in sorted(inner)))
 
 
-def as_seen(flat: Print, moves: InkMoves, board: BoardSeen) -> Print:
+def as_seen(
+    flat: Print,
+    moves: InkMoves,
+    board: BoardSeen,
+) -> Print:
     """The print as one photograph shows it, drawn on a flat board at ``T_c_o``."""
     rows, columns = flat.shades.shape
     x = flat.corner_o[0] + (np.arange(columns) + 0.5) * flat.cell_m
@@ -113,7 +123,11 @@ def as_seen(flat: Print, moves: InkMoves, board: BoardSeen) -> Print:
     return Print(np.asarray(shades, np.uint8), flat.cell_m, flat.corner_o)
 
 
-def _of_squares(squares: tuple[Array, Array], x: Array, y: Array) -> Array:
+def _of_squares(
+    squares: tuple[Array, Array],
+    x: Array,
+    y: Array,
+) -> Array:
     """By how much the squares are off, (rows, columns, 2): linear between their corners."""
     places, off = squares
     moved = np.zeros((len(y), len(x), 2))
@@ -125,7 +139,10 @@ def _of_squares(squares: tuple[Array, Array], x: Array, y: Array) -> Array:
     u, v = np.meshgrid(_between(x, columns), _between(y, rows))
     for axis in (0, 1):
         moved[..., axis] = cv2.remap(
-            np.ascontiguousarray(table[..., axis], np.float32), u, v, cv2.INTER_LINEAR
+            np.ascontiguousarray(table[..., axis], np.float32),
+            u,
+            v,
+            cv2.INTER_LINEAR,
         )
     return moved
 
@@ -134,7 +151,13 @@ def _between(places: Array, nodes: Array) -> Singles:
     return np.interp(places, nodes, np.arange(len(nodes))).astype(np.float32)
 
 
-def _move_marker(moved: Array, corners: Array, off: Array, x: Array, y: Array) -> None:
+def _move_marker(
+    moved: Array,
+    corners: Array,
+    off: Array,
+    x: Array,
+    y: Array,
+) -> None:
     """A marker lies where its four corners do, and takes along half of the white about it."""
     low = corners.min(axis=0)
     high = corners.max(axis=0)
@@ -153,7 +176,13 @@ def _move_marker(moved: Array, corners: Array, off: Array, x: Array, y: Array) -
     )
 
 
-def _move_inside(moved: Array, corners: Array, inner: Array, x: Array, y: Array) -> None:
+def _move_inside(
+    moved: Array,
+    corners: Array,
+    inner: Array,
+    x: Array,
+    y: Array,
+) -> None:
     """Lines between cells are where they are seen; ink between them is stretched."""
     low = corners.min(axis=0)
     high = corners.max(axis=0)
@@ -174,7 +203,11 @@ def _move_inside(moved: Array, corners: Array, inner: Array, x: Array, y: Array)
     moved[inside[1], inside[0], 1] += along[1][:, None]
 
 
-def _bent(board: BoardSeen, x: Array, y: Array) -> Array:
+def _bent(
+    board: BoardSeen,
+    x: Array,
+    y: Array,
+) -> Array:
     """By how much ink on a flat board would have to lie elsewhere to be seen where it is, (rows,
     columns, 2).
     """

@@ -79,7 +79,11 @@ def _marks(
     )
 
 
-def _finish(axes: Axes, scores: Sequence[SetScore], label: str) -> None:
+def _finish(
+    axes: Axes,
+    scores: Sequence[SetScore],
+    label: str,
+) -> None:
     axes.set_ylim(len(scores) - 0.5, -0.5)
     axes.set_yticks(range(len(scores)), [score.name for score in scores], fontsize=8)
     axes.set_xlim(left=0.0)

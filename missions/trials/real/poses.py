@@ -110,7 +110,11 @@ def single_tasks(
 
 
 def plate_tasks(
-    own: RealSet, seen: SetSeen, measured: MethodPoses, *, squared: bool = False
+    own: RealSet,
+    seen: SetSeen,
+    measured: MethodPoses,
+    *,
+    squared: bool = False,
 ) -> list[PoseTask]:
     """Neighbours in a row as a plate of two; frame ``v`` is the left one's. ``squared``: as
     ``single_tasks``.
@@ -131,7 +135,10 @@ def plate_tasks(
 
 
 def as_stated(
-    camera: CameraModel, tasks: Sequence[PoseTask], seed: int, share: float = 1.0
+    camera: CameraModel,
+    tasks: Sequence[PoseTask],
+    seed: int,
+    share: float = 1.0,
 ) -> list[PoseTask]:
     """The same with corners that err by what is stated of them and nothing else: print, paper and
     motion are right.
@@ -214,11 +221,19 @@ def _task(
     side_m = markers[0].side_m
     T_c_v = board.pose_at(T_o_v) if own.file.flat else board.pose_under(T_o_v, side_m)
     return PoseTask(
-        view, found, MarkerLayout(markers, ANY_DICTIONARY), T_c_v, own.file.scaled_side_m / side_m
+        view,
+        found,
+        MarkerLayout(markers, ANY_DICTIONARY),
+        T_c_v,
+        own.file.scaled_side_m / side_m,
     )
 
 
-def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[Pose, float]:
+def _print_frame(
+    own: RealSet,
+    measured: MethodPoses,
+    marker_id: int,
+) -> tuple[Pose, float]:
     """Return the pose of a marker on the board as printed, and its mean side: what a ruler would
     tell.
 
@@ -239,7 +254,10 @@ def _print_frame(own: RealSet, measured: MethodPoses, marker_id: int) -> tuple[P
 
 
 def _detection(
-    own: RealSet, measured: MethodPoses, marker: SeenMarker, squared: bool
+    own: RealSet,
+    measured: MethodPoses,
+    marker: SeenMarker,
+    squared: bool,
 ) -> MarkerDetection | None:
     covariance = marker.found.covariance_px2
     corners = marker.found.corners_px
@@ -253,21 +271,32 @@ def _detection(
     return MarkerDetection(marker.marker_id, corners, covariance)
 
 
-def _printed_at(own: RealSet, measured: MethodPoses, marker_id: int) -> Array:
+def _printed_at(
+    own: RealSet,
+    measured: MethodPoses,
+    marker_id: int,
+) -> Array:
     """The corners (4, 3) of a marker on the board, as its views show it."""
     off = measured.print_m.get(marker_id, np.zeros((4, 3)))
     return printed(own, measured.growth, marker_id) + off * TO_BOARD
 
 
 def _perfect(
-    own: RealSet, seen: SetSeen, measured: MethodPoses, marker: SeenMarker
+    own: RealSet,
+    seen: SetSeen,
+    measured: MethodPoses,
+    marker: SeenMarker,
 ) -> MarkerDetection:
     """The corners as board and print tell them, almost without error."""
     corners = seen.boards[marker.view].pixels(_printed_at(own, measured, marker.marker_id))
     return MarkerDetection(marker.marker_id, corners, PERFECT_PX**2 * np.eye(8))
 
 
-def _right_of(own: RealSet, marker_id: int, there: Mapping[int, SeenMarker]) -> int | None:
+def _right_of(
+    own: RealSet,
+    marker_id: int,
+    there: Mapping[int, SeenMarker],
+) -> int | None:
     """The nearest marker of the same row to the right."""
     side = own.file.side_m
     here = own.markers[marker_id].corners_o.mean(axis=0)

@@ -85,7 +85,11 @@ def edges_of(own: RealSet) -> Iterator[tuple[Array, Array]]:
             yield np.array([column, row]) * side, np.array([column, row + 1]) * side
 
 
-def see_edges(own: RealSet, shot: Photograph, board: BoardSeen) -> list[BoardEdge]:
+def see_edges(
+    own: RealSet,
+    shot: Photograph,
+    board: BoardSeen,
+) -> list[BoardEdge]:
     """Every edge of the board that a photograph shows well."""
     ends = [np.column_stack([np.stack(pair), np.zeros(2)]) for pair in edges_of(own)]
     pixels = board.pixels(np.concatenate(ends)).reshape(-1, 2, 2) if ends else np.empty((0, 2, 2))
@@ -96,7 +100,11 @@ def see_edges(own: RealSet, shot: Photograph, board: BoardSeen) -> list[BoardEdg
     return [BoardEdge(middle_o, edge) for middle_o, edge in found if edge is not None]
 
 
-def measure_response(own: RealSet, seen: SetSeen, images: Sequence[Path]) -> CameraResponse | None:
+def measure_response(
+    own: RealSet,
+    seen: SetSeen,
+    images: Sequence[Path],
+) -> CameraResponse | None:
     """The response of a set's camera; None when too few edges are seen.
 
     Args:
@@ -114,7 +122,11 @@ def measure_response(own: RealSet, seen: SetSeen, images: Sequence[Path]) -> Cam
     ]
     imaging = replace(imaging, jpeg_quality=jpeg_quality(images[0]))
     return CameraResponse(
-        with_noise(imaging, (black, white), light), curve, misfit, noise, len(edges)
+        with_noise(imaging, (black, white), light),
+        curve,
+        misfit,
+        noise,
+        len(edges),
     )
 
 
@@ -147,7 +159,11 @@ def noise_beside(edges: Sequence[SeenEdge]) -> tuple[float, float]:
     return black, white
 
 
-def fitted(curve: Array, black: float, white: float) -> tuple[Imaging, float]:
+def fitted(
+    curve: Array,
+    black: float,
+    white: float,
+) -> tuple[Imaging, float]:
     """Blur, sharpening and gamma whose edge is most like the one seen, and the rms of what is
     left.
     """
@@ -170,7 +186,11 @@ def _optics(x: Array) -> Imaging:
     return Imaging(blur_sigma_px=blur, gamma=gamma, sharpen=sharpen, sharpen_sigma_px=sigma)
 
 
-def edge_of(imaging: Imaging, black: float, white: float) -> Array:
+def edge_of(
+    imaging: Imaging,
+    black: float,
+    white: float,
+) -> Array:
     """The share of white at the middles of ``PLACES`` that a camera with this imaging draws.
 
     Pixels are whole ones, in rows that meet the edge at every phase: blur and sharpening are sums
@@ -184,7 +204,9 @@ def edge_of(imaging: Imaging, black: float, white: float) -> Array:
         1.0 / imaging.gamma
     )
     sharp = np.clip(
-        image + imaging.sharpen * (image - _blurred(image, imaging.sharpen_sigma_px)), 0.0, TOP
+        image + imaging.sharpen * (image - _blurred(image, imaging.sharpen_sigma_px)),
+        0.0,
+        TOP,
     )
     order = np.argsort(x, axis=None)
     share = (sharp.ravel()[order] - sharp[0, 0]) / (sharp[0, -1] - sharp[0, 0])
@@ -228,7 +250,11 @@ def scatter_at(photographs: Sequence[Sequence[SeenEdge]]) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(left)))) if left else 0.0
 
 
-def with_noise(imaging: Imaging, levels: tuple[float, float], sigmas: Sequence[float]) -> Imaging:
+def with_noise(
+    imaging: Imaging,
+    levels: tuple[float, float],
+    sigmas: Sequence[float],
+) -> Imaging:
     """The same with noise of the light that has these deviations at two grey levels, black and
     white.
     """

@@ -86,7 +86,13 @@ def score_set(task: SetTask) -> SetScore:
         return score
     try:
         twin = render_twin(
-            own, seen, measured.get("photometric"), images, task.renderer, task.seed, task.twins
+            own,
+            seen,
+            measured.get("photometric"),
+            images,
+            task.renderer,
+            task.seed,
+            task.twins,
         )
         if twin is None:
             return replace(score, untwinned="the camera's response shows in too few straight edges")
@@ -112,7 +118,11 @@ def _measure(own: RealSet, seen: SetSeen) -> dict[str, MethodPoses]:
 
 
 def _score(
-    own: RealSet, images: Sequence[Path], seen: SetSeen, measured: dict[str, MethodPoses], seed: int
+    own: RealSet,
+    images: Sequence[Path],
+    seen: SetSeen,
+    measured: dict[str, MethodPoses],
+    seed: int,
 ) -> SetScore:
     rng = np.random.default_rng([seed, SCORE_STREAM])
     camera = seen.camera
@@ -151,7 +161,10 @@ def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScor
     errors = np.stack([marker.error_px for marker in measured.seen])
     robust = _figure(errors, robust_sigmas, groups, rng)
     across = _figure(
-        np.stack([marker.across_px for marker in measured.seen]), robust_sigmas, groups, rng
+        np.stack([marker.across_px for marker in measured.seen]),
+        robust_sigmas,
+        groups,
+        rng,
     )
     nominal = robust_sigma(np.stack([marker.nominal_px for marker in measured.seen]))
     rms = math.sqrt(float(np.mean(errors**2)))
@@ -171,7 +184,15 @@ def _corner_score(measured: MethodPoses, rng: np.random.Generator) -> CornerScor
     doubt = math.sqrt(float(np.median([np.trace(one) for one in doubts])) / 8.0)
     both = _honesty(np.array([marker.chi2_with_doubt for marker in measured.seen]), 8, groups, rng)
     return CornerScore(
-        len(measured.seen), robust, across, nominal, rms, stated, honesty, doubt, both
+        len(measured.seen),
+        robust,
+        across,
+        nominal,
+        rms,
+        stated,
+        honesty,
+        doubt,
+        both,
     )
 
 
@@ -213,7 +234,12 @@ def _pose_scores(
 
     def poses(name: str, gravity: Gravity) -> Poses:
         return estimate_all(
-            own, seen.camera, kinds[name], seed, gravity=gravity, shapely=name.startswith(SHAPELY)
+            own,
+            seen.camera,
+            kinds[name],
+            seed,
+            gravity=gravity,
+            shapely=name.startswith(SHAPELY),
         )
 
     found = {name: poses(name, "stated") for name in kinds}
@@ -240,7 +266,12 @@ def _pose_score(poses: Poses, rng: np.random.Generator) -> PoseScore:
     )
 
 
-def _honesty(chi2: Array, freedom: int, groups: Groups, rng: np.random.Generator) -> Figure95:
+def _honesty(
+    chi2: Array,
+    freedom: int,
+    groups: Groups,
+    rng: np.random.Generator,
+) -> Figure95:
     """Median of chi-squares over their degrees of freedom, in units of what it is when the
     covariance is right.
     """
@@ -248,7 +279,10 @@ def _honesty(chi2: Array, freedom: int, groups: Groups, rng: np.random.Generator
 
 
 def _figure(
-    values: Array, statistic: Statistic, groups: Groups, rng: np.random.Generator
+    values: Array,
+    statistic: Statistic,
+    groups: Groups,
+    rng: np.random.Generator,
 ) -> Figure95:
     together = groups if len(np.unique(groups)) > 2 else None
     return Figure95(figure_of(statistic, values), bootstrap(values, statistic, rng, together))
@@ -258,6 +292,10 @@ def _thumbnail(seen: SetSeen) -> Image:
     shot = seen.photographs[len(seen.photographs) // 2].grey
     scale = min(1.0, THUMBNAIL_PX / shot.shape[1])
     small: Sequence[Any] | Any = cv2.resize(
-        shot, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+        shot,
+        None,
+        fx=scale,
+        fy=scale,
+        interpolation=cv2.INTER_AREA,
     )
     return np.asarray(small, np.uint8)

@@ -41,7 +41,9 @@ class RowMotion:
 
 
 def held_still(
-    own: RealSet, seen: SetSeen, measured: MethodPoses
+    own: RealSet,
+    seen: SetSeen,
+    measured: MethodPoses,
 ) -> tuple[SetSeen, MethodPoses, RowMotion]:
     """The set with all corners where they would be had every row been read at once."""
     fits = [
@@ -51,7 +53,9 @@ def held_still(
     for marker in measured.seen:
         moved = _still(marker.found.corners_px, seen, fits[marker.view][0])
         found[marker.view][marker.marker_id] = FoundMarker(
-            moved, marker.found.covariance_px2, marker.found.wrong
+            moved,
+            marker.found.covariance_px2,
+            marker.found.wrong,
         )
     shots = tuple(
         replace(shot, corners_px=_still(shot.corners_px, seen, shear))
@@ -90,7 +94,11 @@ def _sheared(board: BoardSeen, shot: Photograph) -> tuple[Array, float, float]:
     return solutions[1][POSE_NUMBERS:], pose, rows
 
 
-def _still(corners_px: Array, seen: SetSeen, shear: Array) -> Array:
+def _still(
+    corners_px: Array,
+    seen: SetSeen,
+    shear: Array,
+) -> Array:
     return corners_px - (corners_px[:, 1:] - seen.camera.cy) * shear
 
 

@@ -118,7 +118,10 @@ class _Drawing:
         """Draw the boards in plain light, and see how much of it their paper has."""
         shares: dict[str, float] = {}
         for shot, board, image in zip(
-            seen.photographs, seen.boards, self.images(seen, PLAIN), strict=True
+            seen.photographs,
+            seen.boards,
+            self.images(seen, PLAIN),
+            strict=True,
         ):
             wanted = self.edges[shot.name]
             got = see_edges(self.own, replace(shot, grey=image), board)
@@ -137,7 +140,9 @@ class _Drawing:
             share = self.turned.get(shot.name, 1.0)
             placed = replace(lit, light=(lit.light[0] / share, lit.light[1] / share))
             color = made.shoot(
-                RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)), Role.SENDER, number
+                RenderedInstant({Role.SENDER: T_W_C}, boards=(placed,)),
+                Role.SENDER,
+                number,
             ).color
             drawn.append(_image_of(grey(color), seen.camera, imaging))
         return drawn
@@ -157,7 +162,11 @@ def _sensor(camera: CameraModel, imaging: Imaging) -> tuple[CameraModel, Imaging
     return sensor_of(camera), coarse
 
 
-def _image_of(drawn: Image, camera: CameraModel, imaging: Imaging) -> Image:
+def _image_of(
+    drawn: Image,
+    camera: CameraModel,
+    imaging: Imaging,
+) -> Image:
     """The camera's image of what the renderer drew."""
     thinning = camera.thinning
     if thinning is None:
@@ -172,7 +181,11 @@ def _image_of(drawn: Image, camera: CameraModel, imaging: Imaging) -> Image:
     return np.asarray(cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
-def _like_it(drawing: _Drawing, seen: SetSeen, response: CameraResponse) -> Imaging:
+def _like_it(
+    drawing: _Drawing,
+    seen: SetSeen,
+    response: CameraResponse,
+) -> Imaging:
     """The imaging with which the twin's edges and noise, measured alike, are the photographs'.
 
     What the measurement itself does to an edge is seen on the twin, whose imaging is known, and
@@ -238,7 +251,10 @@ def _light_sigma(imaging: Imaging, level: float) -> float:
 
 
 def _placed(
-    board: BoardSeen, printed: Print, edges: Sequence[BoardEdge], gamma: float
+    board: BoardSeen,
+    printed: Print,
+    edges: Sequence[BoardEdge],
+    gamma: float,
 ) -> PlacedBoard:
     """The print in the light of one photograph: black and white change evenly across the board."""
     shades = printed.shades
@@ -256,7 +272,13 @@ def _placed(
     return PlacedBoard(T_w_o, cell_m, levels, (low, high))
 
 
-def _light(edges: Sequence[BoardEdge], name: str, x: Array, y: Array, gamma: float) -> Array:
+def _light(
+    edges: Sequence[BoardEdge],
+    name: str,
+    x: Array,
+    y: Array,
+    gamma: float,
+) -> Array:
     """Light of one side of the edges over the board, (rows, columns): a plane through all that were
     seen.
     """
@@ -265,7 +287,9 @@ def _light(edges: Sequence[BoardEdge], name: str, x: Array, y: Array, gamma: flo
     design = np.column_stack([np.ones(len(edges)), middles])
     plane = np.linalg.lstsq(design, levels, rcond=None)[0]
     seen = np.clip(
-        plane[0] + plane[1] * x[None, :] + plane[2] * y[:, None], levels.min(), levels.max()
+        plane[0] + plane[1] * x[None, :] + plane[2] * y[:, None],
+        levels.min(),
+        levels.max(),
     )
     return np.maximum(TOP * (seen / TOP) ** gamma, LEAST_LIGHT)
 
@@ -287,7 +311,9 @@ def _print_of(own: RealSet, seen: SetSeen) -> Print:
         first = marker.corners_o[:, :2].mean(axis=0) - 0.5 * side_m - corner_o
         size, (column, row) = round(side_m / cell_m), np.round(first / cell_m).astype(int)
         big = cv2.resize(
-            255 * inner.astype(np.uint8), (size, size), interpolation=cv2.INTER_NEAREST_EXACT
+            255 * inner.astype(np.uint8),
+            (size, size),
+            interpolation=cv2.INTER_NEAREST_EXACT,
         )
         shades[row : row + size, column : column + size] = big
     return Print(shades, cell_m, corner_o)

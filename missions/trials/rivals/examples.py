@@ -59,7 +59,11 @@ def _first(found: Sequence[Outcome], kinds: tuple[Outcome, ...]) -> int | None:
 
 
 def _example(
-    method: str, task: FrameTask, judged: FrameResult, kind: Outcome, rules: Mapping[str, Rule]
+    method: str,
+    task: FrameTask,
+    judged: FrameResult,
+    kind: Outcome,
+    rules: Mapping[str, Rule],
 ) -> Example:
     pair = shoot(task)
     images = pair.shots[Role.SENDER].color, pair.shots[Role.RECEIVER].color
@@ -69,7 +73,15 @@ def _example(
         answer = judged.path.answer
         region = None if answer.prior is None else answer.prior.region
         return Example(
-            title, images, pair.box1, answer.box, kind == "tp", pair.boxes2, truth, None, region
+            title,
+            images,
+            pair.box1,
+            answer.box,
+            kind == "tp",
+            pair.boxes2,
+            truth,
+            None,
+            region,
         )
     return _matched(method, title, task, pair, judged, rules[method], kind)
 
@@ -87,7 +99,12 @@ def _matched(
     features = Orb() if method == "orb" or task.xfeat is None else xfeat_for(task.xfeat)
     images = pair.shots[Role.SENDER].color, pair.shots[Role.RECEIVER].color
     _, votes = associate(
-        features, images[0], pair.box1, images[1], pair.boxes2, variants[rule.variant]
+        features,
+        images[0],
+        pair.box1,
+        images[1],
+        pair.boxes2,
+        variants[rule.variant],
     )
     ballot = judged.orb if method == "orb" else judged.xfeat
     box = None if ballot is None else chosen_box(ballot, rule)

@@ -115,7 +115,12 @@ class StagePair:
 
 
 @lru_cache(maxsize=16)
-def renderer_for(kind: Any, role: Role, side: int, marker_side_m: float) -> FrameRenderer:
+def renderer_for(
+    kind: Any,
+    role: Role,
+    side: int,
+    marker_side_m: float,
+) -> FrameRenderer:
     return kind(setup(role, side, marker_side_m), 0)
 
 
@@ -123,7 +128,10 @@ def people_detector() -> Detector:
     """The project's detector, on the shirts of people a few metres away instead of cars."""
     return ColorDetector(
         ColorDetectorConfig(
-            min_side_px=45.0, max_side_px=500.0, split_solidity=0.78, merge_gap=0.04
+            min_side_px=45.0,
+            max_side_px=500.0,
+            split_solidity=0.78,
+            merge_gap=0.04,
         )
     )
 
@@ -145,12 +153,19 @@ def shoot(task: FrameTask) -> StagePair:
     raise RuntimeError(f"no stage shows {task.wanted}")
 
 
-def _shoot(task: FrameTask, rng: np.random.Generator, redraws: int) -> StagePair | None:
+def _shoot(
+    task: FrameTask,
+    rng: np.random.Generator,
+    redraws: int,
+) -> StagePair | None:
     scene = draw(task.wanted, rng)
     renderers = {
         Role.SENDER: renderer_for(task.renderer, Role.SENDER, 0, MARKER_SIDE_M),
         Role.RECEIVER: renderer_for(
-            task.renderer, Role.RECEIVER, scene.side, task.wanted.marker_side_m
+            task.renderer,
+            Role.RECEIVER,
+            scene.side,
+            task.wanted.marker_side_m,
         ),
     }
     perceptions = {role: TrueView(renderers[role], scene, role) for role in Role}
@@ -224,17 +239,28 @@ def believed_on(task: FrameTask, pair: StagePair) -> Beliefs:
     return beliefs(pair.scene, table.session(int(rng.integers(1 << 31))), rng)
 
 
-def owned(task: FrameTask, pair: StagePair, answer: PathAnswer) -> Owned:
+def owned(
+    task: FrameTask,
+    pair: StagePair,
+    answer: PathAnswer,
+) -> Owned:
     """Return an answer with the person that its box really shows."""
     if answer.box is None:
         return Owned(answer, None)
     renderer = renderer_for(
-        task.renderer, Role.RECEIVER, pair.scene.side, task.wanted.marker_side_m
+        task.renderer,
+        Role.RECEIVER,
+        pair.scene.side,
+        task.wanted.marker_side_m,
     )
     return Owned(answer, TrueView(renderer, pair.scene, Role.RECEIVER).owner(answer.box))
 
 
-def own_on(task: FrameTask, named: str, pair: StagePair) -> Owned:
+def own_on(
+    task: FrameTask,
+    named: str,
+    pair: StagePair,
+) -> Owned:
     """Return what a method of somebody's own makes of a pair of frames, given what PATH is given."""
     believed = believed_on(task, pair)
     views = {
@@ -260,7 +286,12 @@ def own_on(task: FrameTask, named: str, pair: StagePair) -> Owned:
     return owned(task, pair, PathAnswer(chosen_by(named, given), None))
 
 
-def path_on(task: FrameTask, pair: StagePair, *, depth2: bool = True) -> Owned:
+def path_on(
+    task: FrameTask,
+    pair: StagePair,
+    *,
+    depth2: bool = True,
+) -> Owned:
     """PATH on a pair of frames."""
     answer = run_path(
         believed_on(task, pair),
@@ -273,7 +304,11 @@ def path_on(task: FrameTask, pair: StagePair, *, depth2: bool = True) -> Owned:
     return owned(task, pair, answer)
 
 
-def ballot(features: Features, pair: StagePair, variants: tuple[BaselineConfig, ...]) -> Ballot:
+def ballot(
+    features: Features,
+    pair: StagePair,
+    variants: tuple[BaselineConfig, ...],
+) -> Ballot:
     """A baseline's votes in each of its variants; what variants share is worked out once."""
     looks = tuple(dict.fromkeys(variant.look for variant in variants))
     own = look_each(features, pair.shots[Role.SENDER].color, [pair.box1], looks)

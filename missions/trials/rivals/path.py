@@ -75,7 +75,11 @@ class PathAnswer:
     mapped: Box | None = None
 
 
-def beliefs(scene: DrawnStage, drawn: DrawnErrors, rng: np.random.Generator) -> Beliefs:
+def beliefs(
+    scene: DrawnStage,
+    drawn: DrawnErrors,
+    rng: np.random.Generator,
+) -> Beliefs:
     """The drones' beliefs with the errors that were drawn for this stage, and the noise of its
     attitudes.
     """
@@ -165,7 +169,10 @@ def run_path(
 
 
 def _attitude(
-    scene: DrawnStage, role: Role, drawn: DrawnErrors, rng: np.random.Generator
+    scene: DrawnStage,
+    role: Role,
+    drawn: DrawnErrors,
+    rng: np.random.Generator,
 ) -> Matrix:
     """``R_n_b`` as the drone's own estimate has it."""
     R_n_w = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -173,7 +180,11 @@ def _attitude(
     return rotation.exp(np.array([*tilt, 0.0])) @ R_n_w @ scene.stage.T_w_b[role].R
 
 
-def _marker_region(scene: DrawnStage, T_b_v: Pose, rng: np.random.Generator) -> Region:
+def _marker_region(
+    scene: DrawnStage,
+    T_b_v: Pose,
+    rng: np.random.Generator,
+) -> Region:
     """Return where a D2 that has seen the marker before looks for it: off by some pixels, with
     room around.
     """

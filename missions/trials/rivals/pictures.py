@@ -65,7 +65,11 @@ class Example:
     region: Region | None = None
 
 
-def draw_outcomes(tallies: Mapping[str, FrameTally], titles: Mapping[str, str], path: Path) -> None:
+def draw_outcomes(
+    tallies: Mapping[str, FrameTally],
+    titles: Mapping[str, str],
+    path: Path,
+) -> None:
     """One bar a method, frames by outcome."""
     figure, (axes,) = panels(10.0, 0.9 + 0.62 * len(tallies))
     for row, counts in enumerate(tallies.values()):
@@ -141,7 +145,9 @@ def draw_examples(examples: Sequence[Example], path: Path) -> None:
         _show(left, example.images[0], "D1: the person it tracks")
         _frame(left, example.tracked, RIGHT, 2.2)
         _show(
-            right, example.images[1], "D2: white what its detector found, " + _chosen_words(example)
+            right,
+            example.images[1],
+            "D2: white what its detector found, " + _chosen_words(example),
         )
         for box in example.others:
             _frame(right, box, "white", 0.9)
@@ -150,7 +156,11 @@ def draw_examples(examples: Sequence[Example], path: Path) -> None:
         if example.region is not None:
             area = example.region
             _frame(
-                right, Box(area.x0, area.y0, area.x1 - area.x0, area.y1 - area.y0), PRIOR, 1.2, ":"
+                right,
+                Box(area.x0, area.y0, area.x1 - area.x0, area.y1 - area.y0),
+                PRIOR,
+                1.2,
+                ":",
             )
         if example.chosen is not None:
             _frame(right, example.chosen, RIGHT if example.right else WRONG, 2.6)
@@ -165,7 +175,12 @@ def _chosen_words(example: Example) -> str:
     return ("green chosen" if example.right else "red chosen") + dashed
 
 
-def _join(row: object, left: Axes, right: Axes, example: Example) -> None:
+def _join(
+    row: object,
+    left: Axes,
+    right: Axes,
+    example: Example,
+) -> None:
     """Lines between matched features of both views."""
     if example.lines is None:
         return
@@ -173,18 +188,35 @@ def _join(row: object, left: Axes, right: Axes, example: Example) -> None:
     step = max(1, math.ceil(len(example.lines) / 25))
     for u1, v1, u2, v2 in example.lines[::step].tolist():
         line = ConnectionPatch(
-            (u1, v1), (u2, v2), "data", "data", axesA=left, axesB=right, color=colour, lw=0.6
+            (u1, v1),
+            (u2, v2),
+            "data",
+            "data",
+            axesA=left,
+            axesB=right,
+            color=colour,
+            lw=0.6,
         )
         row.add_artist(line)  # type: ignore[attr-defined]  # a SubFigure
 
 
-def _show(axes: Axes, image: Image, title: str) -> None:
+def _show(
+    axes: Axes,
+    image: Image,
+    title: str,
+) -> None:
     axes.imshow(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), interpolation="lanczos")
     axes.set_title(title, fontsize=8.5, loc="left", color=DIM)
     axes.set_axis_off()
 
 
-def _frame(axes: Axes, box: Box, colour: str, width: float, style: str = "-") -> None:
+def _frame(
+    axes: Axes,
+    box: Box,
+    colour: str,
+    width: float,
+    style: str = "-",
+) -> None:
     axes.add_patch(
         Rectangle((box.x, box.y), box.w, box.h, fill=False, ec=colour, lw=width, ls=style)
     )

@@ -131,7 +131,11 @@ def _of_path(judged: FrameResult, owned: Owned) -> tuple[Outcome, str] | None:
     return None
 
 
-def _of_ballot(judged: FrameResult, ballot: Ballot, rule: Rule) -> tuple[Outcome, str] | None:
+def _of_ballot(
+    judged: FrameResult,
+    ballot: Ballot,
+    rule: Rule,
+) -> tuple[Outcome, str] | None:
     kind = ballot.outcome(rule)
     own = 0 in ballot.owners
     if kind == "fn":

@@ -18,7 +18,11 @@ OUTCOMES: tuple[Outcome, ...] = ("tp", "tn", "fp", "fn")
 MAX_LEAD = 12
 
 
-def outcome(present: bool, chosen: bool, right: bool) -> Outcome:
+def outcome(
+    present: bool,
+    chosen: bool,
+    right: bool,
+) -> Outcome:
     """Return the outcome by the paper: an incorrect candidate is a false positive, with the target
     present or not.
 

@@ -79,7 +79,12 @@ def run(request: TrialRequest) -> TrialResult:
             *(_sweep_table(sweep, request.quick) for sweep in sweeps.values()),
         ),
         pictures=_draw(
-            request, _tasks(request, 0, wanted, variants), judged, rules, tallies, sweeps
+            request,
+            _tasks(request, 0, wanted, variants),
+            judged,
+            rules,
+            tallies,
+            sweeps,
         ),
         notes=notes(judged, request.xfeat is not None),
     )
@@ -98,7 +103,10 @@ def _wanted(request: TrialRequest) -> list[Wanted]:
 
 
 def _tasks(
-    request: TrialRequest, part: int, wanted: Sequence[Wanted], variants: Variants
+    request: TrialRequest,
+    part: int,
+    wanted: Sequence[Wanted],
+    variants: Variants,
 ) -> list[FrameTask]:
     parts = request.part("renderer"), request.part("errors"), request.rig
     return [
@@ -124,7 +132,9 @@ def _judged(request: TrialRequest, wanted: Sequence[Wanted]) -> tuple[list[Frame
     tried = QUICK_TRIED if request.quick else TRIED
     variants: Variants = {"orb": ORB_VARIANTS, "xfeat": XFEAT_VARIANTS}
     first = request.work.map(
-        "frames, all variants", judge, _tasks(request, 0, wanted, variants)[:tried]
+        "frames, all variants",
+        judge,
+        _tasks(request, 0, wanted, variants)[:tried],
     )
     kept = {
         "orb": same_look(
@@ -170,7 +180,9 @@ def tallied(judged: Sequence[FrameResult], rules: Mapping[str, Rule]) -> dict[st
 
 
 def _sweeps(
-    request: TrialRequest, variants: Variants, rules: Mapping[str, Rule]
+    request: TrialRequest,
+    variants: Variants,
+    rules: Mapping[str, Rule],
 ) -> dict[str, Sweep]:
     """Accuracy over the distance of the nearest look-alike, and over the angle between the views.
 

@@ -103,7 +103,11 @@ class TrueView:
         return shown / max(1, asked), behind / max(1, asked)
 
 
-def shirt_box(scene: DrawnStage, role: Role, person: int) -> Box:
+def shirt_box(
+    scene: DrawnStage,
+    role: Role,
+    person: int,
+) -> Box:
     """Return about the box of a person's shirt, which is what the detector finds, when nothing
     hides it.
     """

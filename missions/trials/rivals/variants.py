@@ -16,7 +16,9 @@ SCOPES: tuple[Scope, ...] = ("each", "all")
 
 
 def _variants(
-    looks: tuple[FeatureSearch, ...], ratios: tuple[float, ...], plain: MatchConfig
+    looks: tuple[FeatureSearch, ...],
+    ratios: tuple[float, ...],
+    plain: MatchConfig,
 ) -> tuple[BaselineConfig, ...]:
     """All looks with all ratios, models, reaches and scopes."""
     return tuple(

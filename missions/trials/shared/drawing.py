@@ -16,7 +16,11 @@ def sheet(width_in: float, height_in: float) -> Figure:
     return Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
 
 
-def panels(width_in: float, height_in: float, columns: int = 1) -> tuple[Figure, list[Axes]]:
+def panels(
+    width_in: float,
+    height_in: float,
+    columns: int = 1,
+) -> tuple[Figure, list[Axes]]:
     """Return a figure of panels side by side."""
     figure = sheet(width_in, height_in)
     return figure, list(np.ravel(figure.subplots(1, columns, squeeze=False)))

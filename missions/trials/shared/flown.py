@@ -13,7 +13,12 @@ from missions.ground.run_folder import discard, new_folder
 from missions.look.report.records import RUN, RunFacts, RunRecords, load_run
 
 
-def fly(rig: Rig, seed: int, faults: Sequence[str], folder: Path) -> tuple[RunFacts, RunRecords]:
+def fly(
+    rig: Rig,
+    seed: int,
+    faults: Sequence[str],
+    folder: Path,
+) -> tuple[RunFacts, RunRecords]:
     """Fly one mission from take-off to landing into a new folder. Raises what a flight raises."""
     own = new_folder(folder)
     facts = fly_once(rig, seed, tuple(faults), own, lambda _: None)

@@ -38,7 +38,11 @@ def wilson(successes: int, trials: int) -> Interval:
     return max(0.0, low), min(1.0, high)
 
 
-def upper_bound(events: int, trials: int, confidence: float = 0.95) -> float:
+def upper_bound(
+    events: int,
+    trials: int,
+    confidence: float = 0.95,
+) -> float:
     """One-sided upper bound of a rate (Clopper and Pearson): events this rare are seen more often
     with ``confidence``.
 
@@ -135,7 +139,11 @@ def _check(events: int, trials: int) -> None:
         raise ValueError(f"{events} of {trials} cannot be")
 
 
-def blocks_interval(values: Array, groups: Whole, rng: np.random.Generator) -> Interval:
+def blocks_interval(
+    values: Array,
+    groups: Whole,
+    rng: np.random.Generator,
+) -> Interval:
     """95 % interval of the mean of values (n,), whole groups (n,) drawn together; (nan, nan)
     without any.
     """

@@ -88,7 +88,12 @@ class Known:
         """Whether this frame is one to learn edges from."""
         return self.frames < LEARNED or self.frames % LEARN_EVERY == 0
 
-    def learn(self, normal: Array, ideal: int, variance: float) -> None:
+    def learn(
+        self,
+        normal: Array,
+        ideal: int,
+        variance: float,
+    ) -> None:
         """Better the edges by one frame's normal equations.
 
         Args:

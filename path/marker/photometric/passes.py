@@ -98,7 +98,10 @@ class FitState:
         known = self.measured
         if known is None:
             known = self.measured = statistics(
-                self.pixels, self.residuals, self.spread, len(self.factor)
+                self.pixels,
+                self.residuals,
+                self.spread,
+                len(self.factor),
             )
         return known
 
@@ -136,7 +139,12 @@ class FitState:
     def correlated_misfit(self) -> float:
         return self.misfit * math.sqrt(self.statistics[3])
 
-    def gather(self, blur_px: float, most: int = MAX_PIXELS, block: int = 0) -> bool:
+    def gather(
+        self,
+        blur_px: float,
+        most: int = MAX_PIXELS,
+        block: int = 0,
+    ) -> bool:
         """Choose the pixels; False when there are too few."""
         u, v = self.offset
         frame = self.frame
@@ -144,7 +152,17 @@ class FitState:
         theta = self.theta
         self.measured = None
         self.pixels = gather(
-            self.image, u, v, frame, lens, theta, self.n, blur_px, self.border, most, block
+            self.image,
+            u,
+            v,
+            frame,
+            lens,
+            theta,
+            self.n,
+            blur_px,
+            self.border,
+            most,
+            block,
         )
         return len(self.pixels) >= 3 * UNKNOWNS
 
@@ -191,7 +209,10 @@ def start(
 
 
 def fit_ideal(
-    state: FitState, ideal: bool, few: bool = False, settled_px: float = SETTLED_PX
+    state: FitState,
+    ideal: bool,
+    few: bool = False,
+    settled_px: float = SETTLED_PX,
 ) -> bool:
     """Passes with the 16 unknowns of an ideal print and camera; False when they drift away or off
     the print.
@@ -254,22 +275,44 @@ def places(state: FitState) -> tuple[Array, Indices]:
     )
 
 
-def misfit_pass(state: FitState, rays: Array, at: Indices) -> bool:
+def misfit_pass(
+    state: FitState,
+    rays: Array,
+    at: Indices,
+) -> bool:
     used, sigmas = used_unknowns(state.groups, state.n, state.edge_sigma)
     normal = np.empty((UNKNOWNS + len(used), UNKNOWNS + len(used) + 1))
     state.residuals = np.empty(len(state.pixels))
     rows = model(
-        rays, state.theta, state.extra, state.groups, state.frame, state.cells, state.edges
+        rays,
+        state.theta,
+        state.extra,
+        state.groups,
+        state.frame,
+        state.cells,
+        state.edges,
     )
     taps = state.extra[:TAPS]
     filtered = bool(state.groups[FILTERED])
     accumulate_filtered(
-        state.pixels, at, rows, taps, filtered, state.spread, normal, state.residuals
+        state.pixels,
+        at,
+        rows,
+        taps,
+        filtered,
+        state.spread,
+        normal,
+        state.residuals,
     )
     return _step(state, normal, used, sigmas)
 
 
-def _step(state: FitState, normal: Array, used: Places, sigmas: Array) -> bool:
+def _step(
+    state: FitState,
+    normal: Array,
+    used: Places,
+    sigmas: Array,
+) -> bool:
     """Change the unknowns; False when that leads away from the start."""
     state.noise = robust_scale(state.residuals)
     state.spread = 4.0 * state.noise

@@ -9,7 +9,12 @@ from flight.guidance import Anchor, Vec3, bearing, subtract
 _PUSH_PER_S = 0.8
 
 
-def keep_clear(velocity_n_mps: Vec3, own_n_m: Vec3, other_n_m: Vec3, clear_m: float) -> Vec3:
+def keep_clear(
+    velocity_n_mps: Vec3,
+    own_n_m: Vec3,
+    other_n_m: Vec3,
+    clear_m: float,
+) -> Vec3:
     """A velocity that does not lead within ``clear_m`` of a place, looked at from above, and leads
     out of there.
     """

@@ -61,7 +61,12 @@ class DroneFlight(Aboard):
         holder = Holder(session, self._store, self, None)
         return await self._look_for(session, holder, holder.find)
 
-    async def _look_for(self, session: RoleSession, holder: Holder, course: Course) -> RoleResult:
+    async def _look_for(
+        self,
+        session: RoleSession,
+        holder: Holder,
+        course: Course,
+    ) -> RoleResult:
         """Find its target: for the first time, or once more instead of coming home, when nobody
         has it any more.
         """
@@ -75,7 +80,11 @@ class DroneFlight(Aboard):
         if leg is None:  # started again on the ground, too late
             what = "the leg it was called for is over"
             return RoleResult(
-                Role.RECEIVER, Outcome.PEER_ABORTED, what, responsible=False, landed=True
+                Role.RECEIVER,
+                Outcome.PEER_ABORTED,
+                what,
+                responsible=False,
+                landed=True,
             )
         await write(self._store, as_relief(self._store.load()))
         async with AsyncExitStack() as stack:
@@ -88,7 +97,10 @@ class DroneFlight(Aboard):
             return await self._change_role(session, relief, stack)
 
     async def _change_role(
-        self, session: RoleSession, flown: Holder | Relief, link: AsyncExitStack | None = None
+        self,
+        session: RoleSession,
+        flown: Holder | Relief,
+        link: AsyncExitStack | None = None,
     ) -> RoleResult:
         """Fly on as a sender: from here on this drone is responsible by its own record, follows
         and hands over.
@@ -107,7 +119,10 @@ class DroneFlight(Aboard):
                     return await self._end(session, flown, end)
                 async with AsyncExitStack() as stack:
                     session, flown = await self._go_on(
-                        session, leg, await self._link(stack, Role.SENDER), flown.track
+                        session,
+                        leg,
+                        await self._link(stack, Role.SENDER),
+                        flown.track,
                     )
                     end = await run_course(session, partial(flown.pass_on, leg))
                     if end is None or end.outcome not in _THE_RELIEFS or flown.decided:
@@ -117,7 +132,12 @@ class DroneFlight(Aboard):
         except PartError as error:  # the session that flies still does
             return await self._end(session, flown, as_end(error))
 
-    async def _leg_failed(self, session: RoleSession, holder: Holder, end: MissionEnd) -> None:
+    async def _leg_failed(
+        self,
+        session: RoleSession,
+        holder: Holder,
+        end: MissionEnd,
+    ) -> None:
         peer = session.peer
         if peer is not None:
             until_s = asyncio.get_running_loop().time() + self._relay.clear_s
@@ -146,7 +166,10 @@ class DroneFlight(Aboard):
             return await self._end(session, flown, end)
 
     async def _end(
-        self, session: RoleSession, flown: Holder | Relief, end: MissionEnd | None
+        self,
+        session: RoleSession,
+        flown: Holder | Relief,
+        end: MissionEnd | None,
     ) -> RoleResult:
         """Raise _TurnsBack for a drone that is not to come home."""
         landed = False

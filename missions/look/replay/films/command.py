@@ -72,7 +72,10 @@ def replay_films(options: ReplayOptions, file: Path) -> int:
 
 
 def _page_of(
-    columns: Mapping[str, Sequence[Replayed]], agreed: bool, file: Path, folder: Path
+    columns: Mapping[str, Sequence[Replayed]],
+    agreed: bool,
+    file: Path,
+    folder: Path,
 ) -> PageOf:
     return PageOf(
         outcome="agreed" if agreed else "no_agreement",

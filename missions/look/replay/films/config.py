@@ -187,7 +187,14 @@ def read_films(file: Path) -> Films:
             "take an earlier one",
         )
     return Films(
-        rig, sender, receiver, table.target, target_ns, round(table.link_s * NS), begin_ns, end_ns
+        rig,
+        sender,
+        receiver,
+        table.target,
+        target_ns,
+        round(table.link_s * NS),
+        begin_ns,
+        end_ns,
     )
 
 
@@ -201,7 +208,11 @@ def _filmed(own: RoleRig, table: FilmTable) -> RoleRig:
     return replace(own, camera=model)
 
 
-def _film(table: FilmTable, own: RoleRig, own_is_sender: bool) -> PlayedFilm:
+def _film(
+    table: FilmTable,
+    own: RoleRig,
+    own_is_sender: bool,
+) -> PlayedFilm:
     options = RecordingOptions(table.rate_hz, table.stamps, table.depth, table.topic)
     recording = open_recording(table.film, options)
     offset_ns = round(table.offset_s * NS)

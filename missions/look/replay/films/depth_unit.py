@@ -43,7 +43,10 @@ class DepthAgainstSize:
 
 
 def depth_against_size(
-    view: View, box: Box, camera: CameraModel, side_m: float
+    view: View,
+    box: Box,
+    camera: CameraModel,
+    side_m: float,
 ) -> DepthAgainstSize | None:
     """Return how far a target is by each; None where there is no depth at all.
 

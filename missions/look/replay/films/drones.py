@@ -67,7 +67,12 @@ class FilmingBody:
 class FilmedSender:
     """D1: picks the target, follows it, says where it is, judges D2's answers."""
 
-    def __init__(self, films: Films, config: MissionConfig, log: Log) -> None:
+    def __init__(
+        self,
+        films: Films,
+        config: MissionConfig,
+        log: Log,
+    ) -> None:
         rig = self._rig = films.rig
         self._films = films
         self._config = config
@@ -101,7 +106,9 @@ class FilmedSender:
     def hear(self, candidate: Candidate, now_ns: int) -> None:
         self._side.hear(candidate, candidate.capture_ns, now_ns)
         self._log.write(
-            "/heard_candidate", now_ns, heard_candidate_record(candidate, candidate.capture_ns)
+            "/heard_candidate",
+            now_ns,
+            heard_candidate_record(candidate, candidate.capture_ns),
         )
 
     @property
@@ -152,14 +159,23 @@ class FilmedSender:
 class FilmedReceiver:
     """D2: the marker, the prior, the look for the target, the answer."""
 
-    def __init__(self, films: Films, config: MissionConfig, log: Log) -> None:
+    def __init__(
+        self,
+        films: Films,
+        config: MissionConfig,
+        log: Log,
+    ) -> None:
         rig = self._rig = films.rig
         self._log = log
         self._body = FilmingBody(films.receiver, rig.receiver.mount)
         self._peer = FilmingBody(films.sender, rig.sender.mount)
         self._together = films.sender.flown is not None and films.receiver.flown is not None
         self._marker = MarkerView(
-            rig.layout, rig.receiver.camera, rig.receiver.mount, rig.method, config
+            rig.layout,
+            rig.receiver.camera,
+            rig.receiver.mount,
+            rig.method,
+            config,
         )
         self._side = ReceiverSide(PairCameras.of(rig), rig.method, _attempt(config))
         begin(log, films, config, Role.RECEIVER)
@@ -192,11 +208,20 @@ class FilmedReceiver:
         own = self._body.at(stamp_ns)
         peer = self._peer.at(stamp_ns)
         return VehicleMotions(
-            stamp_ns, own.velocity_n_mps, stamp_ns, peer.velocity_n_mps, yaw_of(peer.q_n_b)
+            stamp_ns,
+            own.velocity_n_mps,
+            stamp_ns,
+            peer.velocity_n_mps,
+            yaw_of(peer.q_n_b),
         )
 
 
-def begin(log: Log, films: Films, config: MissionConfig, role: Role) -> None:
+def begin(
+    log: Log,
+    films: Films,
+    config: MissionConfig,
+    role: Role,
+) -> None:
     """Write the records that a program's log begins with."""
     log.write("/setup", films.begin_ns, setup_record(films.rig, role, config))
     log.write("/attempt", films.begin_ns, attempt_record(_attempt(config)))

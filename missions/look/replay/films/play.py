@@ -28,7 +28,11 @@ class FilmCount:
     receiver: int
 
 
-def play(films: Films, folder: Path, change: PerceptionChange) -> FilmCount:
+def play(
+    films: Films,
+    folder: Path,
+    change: PerceptionChange,
+) -> FilmCount:
     """Both drones' logs of two films, into a folder. Raises PartError for a damaged frame, or a
     target not there.
     """
@@ -36,7 +40,10 @@ def play(films: Films, folder: Path, change: PerceptionChange) -> FilmCount:
     period_ns = round(1e9 / mission.image_hz) if mission.image_hz > 0.0 else 1 << 63
     logs = {
         role: McapLog(
-            folder / f"{role.value}.mcap", role.value, utc_minus_stamp_ns=0, buffered=True
+            folder / f"{role.value}.mcap",
+            role.value,
+            utc_minus_stamp_ns=0,
+            buffered=True,
         )
         for role in Role
     }
@@ -80,10 +87,15 @@ def _views(films: Films, change: PerceptionChange) -> Iterator[tuple[int, Role, 
 
 
 def _views_of(
-    films: Films, role: Role, change: PerceptionChange
+    films: Films,
+    role: Role,
+    change: PerceptionChange,
 ) -> Iterator[tuple[int, Role, View]]:
     see: Callable[[Frame], View] = perception_of(
-        films.rig, role, films.rig.role(role).camera, change
+        films.rig,
+        role,
+        films.rig.role(role).camera,
+        change,
     ).view_of
     film = films.of(role)
     for number, (stamp_ns, recorded) in enumerate(film.frames(films.begin_ns, films.end_ns)):

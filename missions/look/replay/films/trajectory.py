@@ -42,7 +42,10 @@ class FlownPath:
     """
 
     def __init__(
-        self, stamps: Sequence[int], positions: Sequence[Vec3], attitudes: Sequence[Quat]
+        self,
+        stamps: Sequence[int],
+        positions: Sequence[Vec3],
+        attitudes: Sequence[Quat],
     ) -> None:
         self._stamps = stamps
         self._positions = positions

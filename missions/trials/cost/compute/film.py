@@ -75,7 +75,11 @@ class Film:
     moments: tuple[Moment, ...]
 
 
-def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
+def shoot_film(
+    request: TrialRequest,
+    size: str,
+    count: int,
+) -> Film:
     """Render ``count`` moments. Raises SceneError when the detector does not find the target in one
     of them.
     """
@@ -118,7 +122,11 @@ def shoot_film(request: TrialRequest, size: str, count: int) -> Film:
     return Film(size, cameras, tuple(moments))
 
 
-def camera_of(rig: Rig, role: Role, size: str) -> CameraModel:
+def camera_of(
+    rig: Rig,
+    role: Role,
+    size: str,
+) -> CameraModel:
     """The rig's camera, or one with the same lens for another size: the D415 crops its wide image
     for 4:3.
     """
@@ -156,7 +164,11 @@ def _stage(phase: float, count: int) -> RenderedInstant:
     return RenderedInstant(poses, CARS, rotor_phase_rad=turn)
 
 
-def _velocity(role: Role, instant: float, count: int) -> Vec3:
+def _velocity(
+    role: Role,
+    instant: float,
+    count: int,
+) -> Vec3:
     """Return a velocity in ``n``, m/s, at an instant in frames, of a film that repeats after
     ``count`` of them.
     """

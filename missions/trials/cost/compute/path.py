@@ -79,7 +79,12 @@ class PathPair:
     """Both roles on a film. ``cycle`` goes on in time for ever; the film repeats."""
 
     def __init__(
-        self, rig: Rig, mission: MissionConfig, film: Film, seed: int, logs: Mapping[Role, Log]
+        self,
+        rig: Rig,
+        mission: MissionConfig,
+        film: Film,
+        seed: int,
+        logs: Mapping[Role, Log],
     ) -> None:
         self._rig = rig
         self._film = film
@@ -89,13 +94,19 @@ class PathPair:
         self._mounts = {role: rig.role(role).mount for role in Role}
         cameras = film.cameras
         pair = PairCameras(
-            cameras[Role.SENDER], cameras[Role.RECEIVER], self._mounts[Role.SENDER].T_v_c
+            cameras[Role.SENDER],
+            cameras[Role.RECEIVER],
+            self._mounts[Role.SENDER].T_v_c,
         )
         attempt = AttemptId(1, 1, 1)
         self._sender = SenderSide(pair, rig.method, attempt)
         self._receiver = ReceiverSide(pair, rig.method, attempt)
         self._marker = MarkerView(
-            rig.layout, pair.receiver, rig.receiver.mount, rig.method, mission
+            rig.layout,
+            pair.receiver,
+            rig.receiver.mount,
+            rig.method,
+            mission,
         )
         self._detector = ColorDetector(ColorDetectorConfig())
         key = np.random.default_rng([seed, 3]).bytes(KEY_LENGTH)
@@ -155,7 +166,12 @@ class PathPair:
         number = self._frame % len(self._film.moments)
         return self._film.moments[number], number, Stopwatch(self._overhead_ns)
 
-    def _view(self, moment: Moment, role: Role, stamp_ns: int) -> PixelView:
+    def _view(
+        self,
+        moment: Moment,
+        role: Role,
+        stamp_ns: int,
+    ) -> PixelView:
         depth_mm = moment.depth_mm if role is Role.SENDER else None
         frame = Frame(stamp_ns, self._frame, moment.color[role], depth_mm)
         rig = self._rig
@@ -169,7 +185,10 @@ class PathPair:
         )
 
     def _own_frame(
-        self, moment: Moment, depth: Depth | None, watch: Stopwatch
+        self,
+        moment: Moment,
+        depth: Depth | None,
+        watch: Stopwatch,
     ) -> tuple[OwnFrame, Target]:
         """The frame, and the message in it. Raises SceneError when there is none."""
         gravity_v = gravity_in(moment.R_n_b[Role.SENDER] @ self._mounts[Role.SENDER].T_b_v.R)
@@ -186,7 +205,11 @@ class PathPair:
         return self._receiver.gravity_v(stamp_ns)
 
     def _fix(
-        self, moment: Moment, view: TimedView, gravity_v: Vec3 | None, watch: Stopwatch
+        self,
+        moment: Moment,
+        view: TimedView,
+        gravity_v: Vec3 | None,
+        watch: Stopwatch,
     ) -> MarkerFix:
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
         gravity_c = gravity_in(R_n_c)
@@ -207,7 +230,12 @@ class PathPair:
             raise SceneError(f"D2 has no prior: {prior.reason.value}")
         return prior
 
-    def _answer(self, found: Sequence[Detection], prior: Prior, watch: Stopwatch) -> Answer:
+    def _answer(
+        self,
+        found: Sequence[Detection],
+        prior: Prior,
+        watch: Stopwatch,
+    ) -> Answer:
         stamp_ns = self._frame * PERIOD_NS + BETWEEN_NS
         answer = watch("d2_candidate", self._receiver.answer, self._frame, stamp_ns, found, prior)
         if answer is None or answer.candidate.box is None:
@@ -237,7 +265,13 @@ class PathPair:
         target, moment, fix, answer = made
         assert self._motion is not None
         watch(
-            "d1_log", self._journals.sender, one, own, answer.candidate, self._pairs, self._sender
+            "d1_log",
+            self._journals.sender,
+            one,
+            own,
+            answer.candidate,
+            self._pairs,
+            self._sender,
         )
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
         attitudes = R_n_c, self._marker.R_n_v

@@ -64,7 +64,11 @@ class Timings:
         return float(np.percentile(self.us[name], 99.0)) / 1e3
 
 
-def time_all(request: TrialRequest, film: Film, plan: ComputePlan) -> Timings:
+def time_all(
+    request: TrialRequest,
+    film: Film,
+    plan: ComputePlan,
+) -> Timings:
     """Every method in every block, one thread. The order within a block turns."""
     with TemporaryDirectory() as folder, ExitStack() as stack:
         logs = {
@@ -75,7 +79,12 @@ def time_all(request: TrialRequest, film: Film, plan: ComputePlan) -> Timings:
         return _time_all(request, film, plan, path)
 
 
-def _time_all(request: TrialRequest, film: Film, plan: ComputePlan, path: PathPair) -> Timings:
+def _time_all(
+    request: TrialRequest,
+    film: Film,
+    plan: ComputePlan,
+    path: PathPair,
+) -> Timings:
     turns: list[Callable[[], dict[str, list[float]]]] = [
         lambda: _of_path(path, plan.path),
         lambda: {HOT: [path.geometry() for _ in range(plan.path)]},
@@ -102,7 +111,12 @@ class Baseline:
     boxes.
     """
 
-    def __init__(self, features: Features, film: Film, whole: bool) -> None:
+    def __init__(
+        self,
+        features: Features,
+        film: Film,
+        whole: bool,
+    ) -> None:
         self._features = features
         self._film = film
         self._whole = whole
@@ -147,7 +161,9 @@ def _baselines(request: TrialRequest, plan: ComputePlan) -> list[tuple[str, Feat
 
 
 def _turn(
-    name: str, cycle: Callable[[], float], cycles: int
+    name: str,
+    cycle: Callable[[], float],
+    cycles: int,
 ) -> Callable[[], dict[str, list[float]]]:
     return lambda: {name: [cycle() for _ in range(cycles)]}
 

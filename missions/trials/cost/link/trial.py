@@ -109,7 +109,9 @@ def _rates(one: LinkTraffic, sizes: dict[str, dict[str, int]]) -> dict[str, floa
 
 
 def _findings(
-    rates: dict[str, dict[str, float]], largest: int, traffic: Sequence[LinkTraffic]
+    rates: dict[str, dict[str, float]],
+    largest: int,
+    traffic: Sequence[LinkTraffic],
 ) -> tuple[TrialFinding, ...]:
     findings = [
         TrialFinding("largest packet with UDP/IP, B", str(largest), "every kind of message, no byte cut off",
@@ -131,13 +133,20 @@ def _findings(
     dropped = sum(sum(one.dropped.values()) for one in traffic)
     findings.append(
         TrialFinding(
-            "packets lost, and dropped by a codec", f"{lost}, {dropped}", "of all that were sent"
+            "packets lost, and dropped by a codec",
+            f"{lost}, {dropped}",
+            "of all that were sent",
         )
     )
     return tuple(findings)
 
 
-def _conditions(sender_hz: float, receiver_hz: float, ping_hz: float, seconds: int) -> TrialTable:
+def _conditions(
+    sender_hz: float,
+    receiver_hz: float,
+    ping_hz: float,
+    seconds: int,
+) -> TrialTable:
     return TrialTable(
         "What is on the link",
         ("message", "how often"),

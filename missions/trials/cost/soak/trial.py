@@ -83,7 +83,11 @@ def run(request: TrialRequest) -> TrialResult:
     )  # fmt: skip
 
 
-def _endless(rig: Rig, seconds: float, out: Path) -> Rig:
+def _endless(
+    rig: Rig,
+    seconds: float,
+    out: Path,
+) -> Rig:
     """The rig, with a verification that ends by its deadline only, as a file that its programs can
     read.
     """
@@ -101,7 +105,11 @@ def _endless(rig: Rig, seconds: float, out: Path) -> Rig:
     return rig_library.load(str(file))
 
 
-def _fly(rig: Rig, request: TrialRequest, seconds: float) -> tuple[Samples, RunRecords]:
+def _fly(
+    rig: Rig,
+    request: TrialRequest,
+    seconds: float,
+) -> tuple[Samples, RunRecords]:
     """Samples of the programs while both verify, and the flight's logs. Raises PartError when they
     never did.
     """
@@ -183,13 +191,17 @@ def _verifying(records: Records, topic: str) -> list[LogRecord]:
 # --- how it is shown
 
 
-def _findings(samples: Samples, run: RunRecords, seconds: float) -> tuple[TrialFinding, ...]:
+def _findings(
+    samples: Samples,
+    run: RunRecords,
+    seconds: float,
+) -> tuple[TrialFinding, ...]:
     facts = run.facts
     assert facts is not None, "the flight came to its end"
     ended = facts.outcome == Outcome.NO_AGREEMENT.label
     findings = [
         TrialFinding(
-            "ended", facts.outcome, "", "", f"by the deadline of {seconds:.0f} s", verdict(ended), facts.detail
+            "ended", facts.outcome, "", "", f"by the deadline of {seconds:.0f} s", verdict(ended), facts.detail,
         ),
         TrialFinding(
             "monitors violated", str(sum(facts.violations.values())), "", "", "0", verdict(not facts.violations),
@@ -208,7 +220,12 @@ def _memory_findings(name: str, taken: Sequence[ProgramSample]) -> Iterator[Tria
     most = max(one.private_mib for one in taken)
     goal = f"<= {FLAT_MIB:.0f}"
     yield TrialFinding(
-        f"memory grown, {name}, MiB", f"{grown:+.1f}", "", "", goal, verdict(grown <= FLAT_MIB)
+        f"memory grown, {name}, MiB",
+        f"{grown:+.1f}",
+        "",
+        "",
+        goal,
+        verdict(grown <= FLAT_MIB),
     )
     if name in [role.value for role in Role]:
         yield TrialFinding(
@@ -241,7 +258,9 @@ def _memory_table(samples: Samples) -> TrialTable:
         for name, taken in samples.items()
     )  # fmt: skip
     return TrialTable(
-        "Memory of their own, MiB", ("program", "begin", "highest", "end", "grown"), rows
+        "Memory of their own, MiB",
+        ("program", "begin", "highest", "end", "grown"),
+        rows,
     )
 
 

@@ -67,7 +67,11 @@ class OffsetFit:
     spreads: Spreads
 
 
-def fit_offset(pairs: Sequence[MotionPair], start: Alignment, steady_s: float) -> OffsetFit:
+def fit_offset(
+    pairs: Sequence[MotionPair],
+    start: Alignment,
+    steady_s: float,
+) -> OffsetFit:
     """Offset of samples to curves of several vehicles in one frame of beacons that is turned about
     the vertical.
 
@@ -83,7 +87,10 @@ def fit_offset(pairs: Sequence[MotionPair], start: Alignment, steady_s: float) -
     weights = [
         np.where(used, huber(np.nan_to_num(residuals), scale_m), 0.0)
         for used, residuals, scale_m in zip(
-            start.used, start.residuals, start.scales_m, strict=True
+            start.used,
+            start.residuals,
+            start.scales_m,
+            strict=True,
         )
     ]
     if any(not np.any(own > 0.5) for own in weights):
@@ -128,7 +135,10 @@ class _Means:
 
 
 def _means(
-    pairs: Sequence[MotionPair], weights: Sequence[Array], offset_s: float, yaw_rad: float
+    pairs: Sequence[MotionPair],
+    weights: Sequence[Array],
+    offset_s: float,
+    yaw_rad: float,
 ) -> _Means:
     R = exp(np.array([0.0, 0.0, yaw_rad]))
     rows = list[Array]()
@@ -205,7 +215,11 @@ class _Solution:
         return vectors @ self.inverse - self.gains @ fitted
 
 
-def _solution(spreads: Array, kernels: Array, means: _Means) -> _Solution:
+def _solution(
+    spreads: Array,
+    kernels: Array,
+    means: _Means,
+) -> _Solution:
     """``spreads``: logarithms of the four variances. Raises LinAlgError: something cannot be told
     at all.
     """
@@ -224,7 +238,11 @@ def _solution(spreads: Array, kernels: Array, means: _Means) -> _Solution:
     return _Solution(likelihood, unknowns, of_unknowns, inverse, gains, left)
 
 
-def _likeliest(spreads: Array, kernels: Array, means: _Means) -> tuple[Array, _Solution]:
+def _likeliest(
+    spreads: Array,
+    kernels: Array,
+    means: _Means,
+) -> tuple[Array, _Solution]:
     """Steps by average information, damped (Levenberg) so that none makes the records less
     likely.
     """
@@ -251,13 +269,21 @@ def _likeliest(spreads: Array, kernels: Array, means: _Means) -> tuple[Array, _S
     return spreads, now
 
 
-def _slopes(now: _Solution, spreads: Array, kernels: Array) -> tuple[Array, Array]:
+def _slopes(
+    now: _Solution,
+    spreads: Array,
+    kernels: Array,
+) -> tuple[Array, Array]:
     """Gradient (4,) of the likelihood by the logarithms of the variances, and average information
     (4, 4).
     """
     variances = np.exp(spreads)
     seen = 3.0 * now.inverse - np.einsum(
-        "anu,uv,amv->nm", now.gains, now.covariance, now.gains, optimize=True
+        "anu,uv,amv->nm",
+        now.gains,
+        now.covariance,
+        now.gains,
+        optimize=True,
     )
     pulls = [now.left @ kernel for kernel in kernels]
     gradient = np.array([

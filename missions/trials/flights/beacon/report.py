@@ -35,7 +35,11 @@ blocks of time.
 """
 
 
-def rows_of(run: RunRecords, measured: SessionErrors, seed: int) -> list[Row]:
+def rows_of(
+    run: RunRecords,
+    measured: SessionErrors,
+    seed: int,
+) -> list[Row]:
     """Return the errors of all, and of those phases of the receiver in which there was something to
     compare.
     """
@@ -58,7 +62,11 @@ def _segments(run: RunRecords) -> list[tuple[str, float, float]]:
     return [("all", -math.inf, math.inf), *phases]
 
 
-def _within(own: Compared, start_s: float, end_s: float) -> Compared:
+def _within(
+    own: Compared,
+    start_s: float,
+    end_s: float,
+) -> Compared:
     at = (own.t >= start_s) & (own.t < end_s)
     return replace(own, t=own.t[at], error_m=own.error_m[at])
 
@@ -78,7 +86,9 @@ def write_errors(file: Path, rows: Sequence[Row]) -> None:
 
 
 def findings(
-    measured: SessionErrors, rows: Sequence[Row], offset_error_s: float | None
+    measured: SessionErrors,
+    rows: Sequence[Row],
+    offset_error_s: float | None,
 ) -> list[TrialFinding]:
     clock = measured.clock
     half_ms = 1e3 * 1.96 * clock.offset_sigma_s
@@ -126,7 +136,9 @@ def table(rows: Sequence[Row]) -> TrialTable:
 
 
 def summary(
-    measured: SessionErrors, rows: Sequence[Row], offset_error_s: float | None
+    measured: SessionErrors,
+    rows: Sequence[Row],
+    offset_error_s: float | None,
 ) -> dict[str, Any]:
     clock = measured.clock
     frame = measured.frame

@@ -64,11 +64,18 @@ def load_session(folder: Path) -> BeaconSession:
         else (f"The flight ended as '{facts.outcome}'.",)
     )
     return BeaconSession(
-        folder, tuple(read_any(records[0])), notes, read_truth(folder / TRUTH_FILE)
+        folder,
+        tuple(read_any(records[0])),
+        notes,
+        read_truth(folder / TRUTH_FILE),
     )
 
 
-def fly_session(rig: Rig, seed: int, folder: Path) -> BeaconSession:
+def fly_session(
+    rig: Rig,
+    seed: int,
+    folder: Path,
+) -> BeaconSession:
     """Fly the rig once and listen to its beacons. Raises PartError: the rig cannot, or the beacons
     give nothing.
     """
@@ -87,7 +94,11 @@ def fly_session(rig: Rig, seed: int, folder: Path) -> BeaconSession:
     return BeaconSession(folder, tuple(fixes), notes, read_truth(folder / TRUTH_FILE))
 
 
-def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
+def _hear_afterwards(
+    rig: Rig,
+    seed: int,
+    folder: Path,
+) -> list[BeaconFix]:
     """Make the bytes from the flight's truth in virtual time; what takes them is what takes a
     port's.
     """
@@ -100,7 +111,11 @@ def _hear_afterwards(rig: Rig, seed: int, folder: Path) -> list[BeaconFix]:
     recorder = BeaconRecorder(folder / BEACON_RECORD, 0.0, virtual=True)
     fixes = list[BeaconFix]()
 
-    def hear(port: str, arrival_ns: int, data: bytes) -> None:
+    def hear(
+        port: str,
+        arrival_ns: int,
+        data: bytes,
+    ) -> None:
         recorder.write(port, arrival_ns, data)
         fixes.extend(stream.feed(port, arrival_ns, data))
 
@@ -128,7 +143,12 @@ class Listener:
         notes: silences and what ended the listening, in words.
     """
 
-    def __init__(self, rig: Rig, spec: PartSpec, file: Path) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        spec: PartSpec,
+        file: Path,
+    ) -> None:
         context = replace(
             part_context(rig, Role.RECEIVER),
             clock=SystemClock(SystemClock.Config(), None),  # type: ignore[arg-type]
@@ -141,7 +161,9 @@ class Listener:
         self._stop = threading.Event()
         self._running: tuple[asyncio.AbstractEventLoop, asyncio.Task[None]] | None = None
         self._thread = threading.Thread(
-            target=lambda: asyncio.run(self._listen()), name="listener", daemon=True
+            target=lambda: asyncio.run(self._listen()),
+            name="listener",
+            daemon=True,
         )
         self.fixes: list[BeaconFix] = []
         self.notes: list[str] = []
@@ -206,7 +228,10 @@ class Listener:
 
 
 def record_session(
-    rig: Rig, folder: Path, seconds: float, show: Callable[[str], None]
+    rig: Rig,
+    folder: Path,
+    seconds: float,
+    show: Callable[[str], None],
 ) -> tuple[BeaconFix, ...]:
     """Listen without flying, as in the field: until ``seconds`` have passed (0: for ever) or
     Ctrl-C.

@@ -98,7 +98,10 @@ def _fly(order: tuple[Rig, int, Path]) -> BeaconSession:
 
 
 def _draw(
-    session: BeaconSession, flown: RunRecords, measured: SessionErrors, out: Path
+    session: BeaconSession,
+    flown: RunRecords,
+    measured: SessionErrors,
+    out: Path,
 ) -> float | None:
     """Draw both pictures; return the error of the clock's offset where it is known."""
     truth = truth_of(flown.world)

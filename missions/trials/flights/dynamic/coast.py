@@ -95,7 +95,11 @@ def _vec3(values: list[float]) -> Vec3:
     return x, y, z
 
 
-def coasts(run: RunRecords, rig: Rig, truth: Truth) -> Coasts:
+def coasts(
+    run: RunRecords,
+    rig: Rig,
+    truth: Truth,
+) -> Coasts:
     """Replay a flight with gaps of ``HIDDEN_S`` after ``SEEN_S`` of marker each, begun at several
     instants.
 
@@ -116,7 +120,10 @@ def coasts(run: RunRecords, rig: Rig, truth: Truth) -> Coasts:
 
 
 def _replayed(
-    frames: list[FilterInput], rig: Rig, true_at: Callable[[int], Pose], start: int
+    frames: list[FilterInput],
+    rig: Rig,
+    true_at: Callable[[int], Pose],
+    start: int,
 ) -> Iterator[tuple[float, Array, float, float, float, int]]:
     sender = rig.sender.mount
     receiver = rig.receiver.mount

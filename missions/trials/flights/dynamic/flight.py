@@ -81,7 +81,10 @@ def fly(order: FlightOrder) -> FlownSession:
     listen = import_factory(order.beacons, order.rig.where("trials.beacons"))
     recorder = BeaconRecorder(order.folder / BEACON_RECORD, 0.0, virtual=True)
     truth = listen(
-        order.folder / WORLD_LOG, recorder.write, order.seed, reference_of(order.rig).mounted
+        order.folder / WORLD_LOG,
+        recorder.write,
+        order.seed,
+        reference_of(order.rig).mounted,
     )
     recorder.close()
     return FlownSession(order.folder, order.seed, facts.outcome, facts.simulated_s, truth)
@@ -158,7 +161,11 @@ def load_motions(run: RunRecords, rig: Rig) -> Motions:
     )
 
 
-def _by_own_estimate(states: Sequence[LogRecord], lever_b: Array, offset_ns: int) -> Trajectory:
+def _by_own_estimate(
+    states: Sequence[LogRecord],
+    lever_b: Array,
+    offset_ns: int,
+) -> Trajectory:
     """``offset_ns``: of the log's stamps from the receiver's clock."""
     t = np.array([r.stamp_ns - offset_ns for r in states]) * 1e-9
     p, v = (
@@ -168,7 +175,12 @@ def _by_own_estimate(states: Sequence[LogRecord], lever_b: Array, offset_ns: int
     return Trajectory(t, (steadied(t, p, v) + levers) @ R_U_N.T)
 
 
-def steadied(t: Array, p: Array, v: Array, over_s: float = STEADY_S) -> Array:
+def steadied(
+    t: Array,
+    p: Array,
+    v: Array,
+    over_s: float = STEADY_S,
+) -> Array:
     """Positions (n, 3) whose quick changes are those of the velocities (n, 3), and whose slow ones
     are their own.
 

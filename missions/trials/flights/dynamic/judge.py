@@ -113,7 +113,12 @@ class HarnessVerdict(SessionErrors):
     coasts: Coasts
 
 
-def measure(run: RunRecords, heard: BeaconTrace, rig: Rig, seed: int) -> SessionErrors:
+def measure(
+    run: RunRecords,
+    heard: BeaconTrace,
+    rig: Rig,
+    seed: int,
+) -> SessionErrors:
     """Everything that the records say. Raises ValueError when they are too short or have nothing in
     common.
     """
@@ -149,7 +154,11 @@ def judge(order: tuple[FlownSession, Rig]) -> HarnessVerdict:
     )
 
 
-def offset_error_s(measured: SessionErrors, beacons: BeaconTruth, truth: Truth) -> float:
+def offset_error_s(
+    measured: SessionErrors,
+    beacons: BeaconTruth,
+    truth: Truth,
+) -> float:
     """Return the error of the offset between the receiver's clock and the listener's, as the
     harness set them.
     """
@@ -160,7 +169,11 @@ def offset_error_s(measured: SessionErrors, beacons: BeaconTruth, truth: Truth) 
     )
 
 
-def clock_of(motions: Motions, heard: BeaconTrace, rng: np.random.Generator) -> Alignment:
+def clock_of(
+    motions: Motions,
+    heard: BeaconTrace,
+    rng: np.random.Generator,
+) -> Alignment:
     """The beacons' clock and frame from the whole flight of both drones, as both believe it to have
     been.
 
@@ -190,7 +203,11 @@ def pairs_of(motions: Motions, heard: BeaconTrace) -> tuple[list[MotionPair], li
     ]
 
 
-def noise_at_rest(motions: Motions, heard: BeaconTrace, offset_s: float) -> tuple[float, int]:
+def noise_at_rest(
+    motions: Motions,
+    heard: BeaconTrace,
+    offset_s: float,
+) -> tuple[float, int]:
     """Standard deviation of a position per axis while D2 had not been armed yet, and from how many.
 
     Of D2 alone: the target may move from the first second, and D1 takes off first.
@@ -206,7 +223,11 @@ def noise_at_rest(motions: Motions, heard: BeaconTrace, offset_s: float) -> tupl
 
 
 def _against_beacons(
-    pair: MotionPair, frame: Alignment, k: int, noise_m: float, factors: Array
+    pair: MotionPair,
+    frame: Alignment,
+    k: int,
+    noise_m: float,
+    factors: Array,
 ) -> Compared:
     used = frame.used[k]
     t = pair.samples.t[used] + frame.offset_s
@@ -221,7 +242,11 @@ def _against_beacons(
     )
 
 
-def against_truth(run: RunRecords, truth: Truth, motions: Motions) -> dict[str, Compared]:
+def against_truth(
+    run: RunRecords,
+    truth: Truth,
+    motions: Motions,
+) -> dict[str, Compared]:
     """D2's camera in ``v``; the very point of the target that D1 measured, in D2's camera frame."""
     seen = [r for r in run.receiver["/marker"] if r.record["position_v_m"] is not None]
     t = np.array([r.stamp_ns for r in seen]) * 1e-9
@@ -229,7 +254,10 @@ def against_truth(run: RunRecords, truth: Truth, motions: Motions) -> dict[str, 
         [np.array(r.record["position_v_m"]) - truth.T_v_c2(r.stamp_ns).t for r in seen]
     )
     d2 = Compared(
-        t, ape(errors), rpe_after(t, errors, RPE_S), rpe_along(motions.d2.at(t), errors, RPE_M)
+        t,
+        ape(errors),
+        rpe_after(t, errors, RPE_S),
+        rpe_along(motions.d2.at(t), errors, RPE_M),
     )
     sent = {
         r.record["sequence"]: r.record for r in run.sender["/target"] if r.record["reason"] is None
@@ -260,7 +288,12 @@ def true_places(judged: HarnessVerdict) -> Callable[[str, Array], Array]:
     return lambda name, t: true_path(truth, name, judged.flown.beacons, t)
 
 
-def true_path(truth: Truth, name: str, beacons: BeaconTruth, t: Array) -> Array:
+def true_path(
+    truth: Truth,
+    name: str,
+    beacons: BeaconTruth,
+    t: Array,
+) -> Array:
     """A body's true way in the beacons' frame, (n, 3), at instants of the receiver's clock."""
     offset_s = truth.scene.clock_offset_ns[Role.RECEIVER] * 1e-9
     places = truth_positions(truth, name)

@@ -27,7 +27,9 @@ OF = {"d2": "receiver", "target": "target"}
 
 
 def draw_map(
-    judged: SessionErrors, file: Path, true_place: Callable[[str, Array], Array] | None = None
+    judged: SessionErrors,
+    file: Path,
+    true_place: Callable[[str, Array], Array] | None = None,
 ) -> None:
     """Draw from above what beacons and PATH say, in the beacons' frame and around D1.
 
@@ -64,7 +66,10 @@ def draw_map(
         right.plot(*pair.samples.p[used, :2].T, ".", ms=4, color=COLORS[OF[name]], alpha=0.45)
         seen = pair.curve.p @ judged.frame.R.T + judged.frame.shifts[k]
         right.plot(
-            *seen[:, :2].T, color=COLORS[OF[name]], lw=1.5, label=f"{LABELS[OF[name]]}, PATH"
+            *seen[:, :2].T,
+            color=COLORS[OF[name]],
+            lw=1.5,
+            label=f"{LABELS[OF[name]]}, PATH",
         )
     right.plot(0.0, 0.0, "s", color=COLORS["sender"], label="D1")
     right.set_title("From D1 (axes of the beacons' frame)", loc="left", fontsize=10)
@@ -78,7 +83,9 @@ def draw_map(
 
 
 def draw_errors(
-    judged: SessionErrors, file: Path, truth: Mapping[str, Compared] | None = None
+    judged: SessionErrors,
+    file: Path,
+    truth: Mapping[str, Compared] | None = None,
 ) -> None:
     """Errors over time of both trajectories, against the beacons and, where it is known, the
     truth.
@@ -92,7 +99,11 @@ def draw_errors(
 
 
 def _draw_error(
-    axes: Axes, beacons: Compared, truth: Compared | None, name: str, start_s: float
+    axes: Axes,
+    beacons: Compared,
+    truth: Compared | None,
+    name: str,
+    start_s: float,
 ) -> None:
     color = COLORS[OF[name]]
     axes.plot(
@@ -144,7 +155,11 @@ def draw_coast(judged: Sequence[HarnessVerdict], file: Path) -> None:
         label="error, rms",
     )
     axes.plot(
-        at, [1e3 * rms(sigma_m[where]) for where in near], "--", color=NEEDED, label="claimed sigma"
+        at,
+        [1e3 * rms(sigma_m[where]) for where in near],
+        "--",
+        color=NEEDED,
+        label="claimed sigma",
     )
     axes.set_xlabel("s without a marker")
     axes.set_ylabel("position of the marker, mm")

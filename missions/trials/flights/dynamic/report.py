@@ -66,7 +66,11 @@ def findings(summary: Mapping[str, Any]) -> tuple[TrialFinding, ...]:
     return tuple(found)
 
 
-def noise(rig: Rig, estimator: Any, flown: FlownSession) -> TrialTable:
+def noise(
+    rig: Rig,
+    estimator: Any,
+    flown: FlownSession,
+) -> TrialTable:
     """``estimator``: dataclass of what the vehicles' own estimates get wrong."""
     rows = [
         ("target", f"{TARGET_MPS:g} m/s round a bent loop, D1 behind it, D2 round D1"),

@@ -55,13 +55,19 @@ def run(request: TrialRequest) -> TrialResult:
         quick = rig_library.load(QUICK_LEVEL)
         errors = {key: value for key, value in rig.world.items() if key == "errors"}
         rig = replace(
-            quick, trials=rig.trials, reference=rig.reference, world={**quick.world, **errors}
+            quick,
+            trials=rig.trials,
+            reference=rig.reference,
+            world={**quick.world, **errors},
         )
     flights = 1 if request.quick else FLIGHTS
     rig = moving(rig, QUICK_VERIFY_S if request.quick else VERIFY_S)
     orders = [
         FlightOrder(
-            rig, rig.trials["beacons"], request.seed + k, request.out / f"flight-{request.seed + k}"
+            rig,
+            rig.trials["beacons"],
+            request.seed + k,
+            request.out / f"flight-{request.seed + k}",
         )
         for k in range(flights)
     ]
@@ -162,7 +168,9 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
 
 
 def _coast(
-    judged: Sequence[HarnessVerdict], after_s: float, rng: np.random.Generator
+    judged: Sequence[HarnessVerdict],
+    after_s: float,
+    rng: np.random.Generator,
 ) -> dict[str, Any]:
     errors, sigmas, turns, turn_sigmas, nees, groups = ([] for _ in range(6))
     base = 0

@@ -43,7 +43,11 @@ class EvidenceAttempt(JudgedAttempt):
     correlation: Array
 
 
-def judge(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> EvidenceAttempt:
+def judge(
+    runner: HandoverRunner,
+    method: MethodConfig,
+    attempt: Attempt,
+) -> EvidenceAttempt:
     """Run one attempt to its end."""
     series = runner.run(replace(attempt, whole=True)).series
     return EvidenceAttempt(

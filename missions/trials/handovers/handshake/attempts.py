@@ -55,7 +55,11 @@ def is_counted(index: int) -> bool:
     return index // len(FAULT_NAMES) % 2 == 0
 
 
-def judge(runner: HandoverRunner, method: MethodConfig, attempt: Attempt) -> HandshakeAttempt:
+def judge(
+    runner: HandoverRunner,
+    method: MethodConfig,
+    attempt: Attempt,
+) -> HandshakeAttempt:
     """Run one attempt until the default gate has committed, and where it is counted until the
     paper's has decided.
     """

@@ -69,7 +69,11 @@ def seconds_of(flown: Flown) -> list[float]:
 
 
 def orders(
-    count: int, seed: int, gate: GateKind, out: Path, errors: Mapping[str, Any] | None = None
+    count: int,
+    seed: int,
+    gate: GateKind,
+    out: Path,
+    errors: Mapping[str, Any] | None = None,
 ) -> list[MissionOrder]:
     """Return so many missions: the same seeds and faults for every gate."""
     seeds = range(seed * 1000, seed * 1000 + count)

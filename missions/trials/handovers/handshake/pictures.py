@@ -20,7 +20,11 @@ PAPER_S = {"paper, median": 7.20, "paper, 90th percentile": 7.95}
 BIN_S = 0.1
 
 
-def draw_times(flown: Flown, tried: Tried, path: Path) -> None:
+def draw_times(
+    flown: Flown,
+    tried: Tried,
+    path: Path,
+) -> None:
     """Draw the times to the commit. Raises OSError when it cannot be written."""
     figure, (left, right) = panels(11.0, 4.2, columns=2)
     _missions(left, seconds_of(of_gate(flown, "count")))
@@ -36,7 +40,11 @@ def draw_times(flown: Flown, tried: Tried, path: Path) -> None:
         xlim=(0.0, LIMIT_S),
     )
     right.legend(
-        fontsize=7, frameon=False, handlelength=1.4, loc="lower left", bbox_to_anchor=(0.14, 0.0)
+        fontsize=7,
+        frameon=False,
+        handlelength=1.4,
+        loc="lower left",
+        bbox_to_anchor=(0.14, 0.0),
     )
     save(figure, path)
 

@@ -71,7 +71,11 @@ class RecallAttempt(JudgedAttempt):
         return self.likelihood if gate == "likelihood" else JudgedAttempt.by(self, gate)
 
 
-def orders(seed: int, detectors: Sequence[DetectorFaults], of_each: int) -> list[AttemptOrder]:
+def orders(
+    seed: int,
+    detectors: Sequence[DetectorFaults],
+    of_each: int,
+) -> list[AttemptOrder]:
     """Return the attempts, each with a hand-over of its own.
 
     Half have nothing but the errors that last, a quarter a look-alike beside the target or driving
@@ -99,7 +103,11 @@ def faults_of(order: AttemptOrder) -> FaultyFrames:
     return faulty_frames(order.detector, FRAMES, rng)
 
 
-def judge(runner: HandoverRunner, method: MethodConfig, order: AttemptOrder) -> RecallAttempt:
+def judge(
+    runner: HandoverRunner,
+    method: MethodConfig,
+    order: AttemptOrder,
+) -> RecallAttempt:
     """Run one attempt for as long as any gate can still commit."""
     faults = faults_of(order)
     methods = [replace(method, gate=gate) for gate in ALL_GATES]
@@ -125,7 +133,12 @@ def judge(runner: HandoverRunner, method: MethodConfig, order: AttemptOrder) -> 
     return RecallAttempt(order.attempt.index, count, evidence, likelihood, counted(ran.identity))
 
 
-def can_complete(gate: Gate, method: MethodConfig, series: Series, faults: FaultyFrames) -> bool:
+def can_complete(
+    gate: Gate,
+    method: MethodConfig,
+    series: Series,
+    faults: FaultyFrames,
+) -> bool:
     """Return whether a gate that was told a series may be complete before the attempt's limit.
 
     The run under way may go on, or another begin with what is captured next. "count" needs a

@@ -45,7 +45,12 @@ class DetectorFaults:
         return f"{self.recall:g} / {self.miss_frames:g} / {self.false_positives:.0%}"
 
 
-def spells(share: float, mean_frames: float, count: int, rng: Generator) -> Flags:
+def spells(
+    share: float,
+    mean_frames: float,
+    count: int,
+    rng: Generator,
+) -> Flags:
     """(count,) a chain of two states that is on in ``share`` of the frames, for ``mean_frames`` at
     a time in the mean.
 
@@ -91,7 +96,11 @@ class FaultyFrames:
         return int(np.diff(edges).max()) - 1
 
 
-def faulty_frames(detector: DetectorFaults, many: int, rng: Generator) -> FaultyFrames:
+def faulty_frames(
+    detector: DetectorFaults,
+    many: int,
+    rng: Generator,
+) -> FaultyFrames:
     share = 1.0 - detector.recall
     missed = (
         spells(share, detector.miss_frames, many, rng),
@@ -102,7 +111,11 @@ def faulty_frames(detector: DetectorFaults, many: int, rng: Generator) -> Faulty
     return FaultyFrames(missed, (spells(rate, length, many, rng), spells(rate, length, many, rng)))
 
 
-def with_detector(series: Series, faults: FaultyFrames, method: MethodConfig) -> Series:
+def with_detector(
+    series: Series,
+    faults: FaultyFrames,
+    method: MethodConfig,
+) -> Series:
     """The series as it would have been with these detectors on both drones.
 
     D1's own misses add no entries: a pair that would have needed the frame is a miss.
@@ -128,7 +141,12 @@ def with_detector(series: Series, faults: FaultyFrames, method: MethodConfig) ->
     return replace(series, kind=np.where(lost, MISS, series.kind), reason=reason, iou=iou)
 
 
-def _silent(series: Series, missed_1: Flags, before: Whole, method: MethodConfig) -> Flags:
+def _silent(
+    series: Series,
+    missed_1: Flags,
+    before: Whole,
+    method: MethodConfig,
+) -> Flags:
     """Return where D2 has no target that is new enough to carry on."""
     seen = np.where(missed_1, -1, np.arange(len(missed_1)))
     newest = np.maximum.accumulate(seen)[before]

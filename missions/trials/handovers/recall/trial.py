@@ -122,14 +122,20 @@ def _judged(request: TrialRequest, asked: Sequence[AttemptOrder]) -> list[Pair]:
         done = {line.index for line in kept.lines}
         left = [order for order in asked if order.attempt.index not in done]
         for part in request.work.stream(
-            "Monte-Carlo hand-overs", run_batch, batches(rig, judge, left, BATCH)
+            "Monte-Carlo hand-overs",
+            run_batch,
+            batches(rig, judge, left, BATCH),
         ):
             kept.add(part)
         by_index = {line.index: line for line in kept.lines}
     return [(order, by_index[order.attempt.index]) for order in asked]
 
 
-def cell_of(judged: Sequence[Pair], number: int, gate: GateKind) -> Cell:
+def cell_of(
+    judged: Sequence[Pair],
+    number: int,
+    gate: GateKind,
+) -> Cell:
     """Return what one gate makes of the attempts through one pair of detectors."""
     own = [pair for pair in judged if pair[0].cell == number]
     true = verdicts_of([attempt for order, attempt in own if order.group == "true"], gate)
@@ -167,7 +173,10 @@ def result(judged: Sequence[Pair], short: bool) -> TrialResult:
         reliability([each.identity for each in attempts]),
     )
     return TrialResult(
-        summary, (*_commit_findings(cells), _wrong_finding(summary)), tables=tables, notes=NOTES
+        summary,
+        (*_commit_findings(cells), _wrong_finding(summary)),
+        tables=tables,
+        notes=NOTES,
     )
 
 

@@ -72,34 +72,62 @@ LEGACY = replace(CHARUCO, legacy=True)
 KINDS: Mapping[str, ViewsKind] = {
     "chessboard 320x240, 20 views": ViewsKind(CHESSBOARD, (320, 240), 20),
     "chessboard 640x480, 25 views of one distance": ViewsKind(
-        SQUARE, (640, 480), 25, NEAR_ONE_DISTANCE
+        SQUARE,
+        (640, 480),
+        25,
+        NEAR_ONE_DISTANCE,
     ),
     "chessboard 640x480, 30 views": ViewsKind(SQUARE, (640, 480), 30),
     "chessboard 960x720, 15 views, counted wrongly": ViewsKind(
-        CHESSBOARD, (960, 720), 15, named=replace(CHESSBOARD, columns=10), refusal=BadSet.NO_BOARD
+        CHESSBOARD,
+        (960, 720),
+        15,
+        named=replace(CHESSBOARD, columns=10),
+        refusal=BadSet.NO_BOARD,
     ),
     "chessboard 1280x720, 12 views, its inner corners named": ViewsKind(
-        CHESSBOARD, (1280, 720), 12, named=replace(CHESSBOARD, columns=8, rows=6)
+        CHESSBOARD,
+        (1280, 720),
+        12,
+        named=replace(CHESSBOARD, columns=8, rows=6),
     ),
     "chessboard 1920x1080, 10 views": ViewsKind(CHESSBOARD, (1920, 1080), 10),
     "chessboard 640x480, 10 views, never tilted": ViewsKind(SQUARE, (640, 480), 10, FLAT_ON),
     "ChArUco 640x480, 17 views": ViewsKind(CHARUCO, (640, 480), 17),
     "ChArUco 640x480, old pattern, 20 views": ViewsKind(LEGACY, (640, 480), 20),
     "ChArUco 1280x720, old pattern named as new, 10 views": ViewsKind(
-        LEGACY, (1280, 720), 10, named=CHARUCO
+        LEGACY,
+        (1280, 720),
+        10,
+        named=CHARUCO,
     ),
     "ChArUco 1280x720, 30 views of one distance": ViewsKind(
-        CHARUCO, (1280, 720), 30, NEAR_ONE_DISTANCE
+        CHARUCO,
+        (1280, 720),
+        30,
+        NEAR_ONE_DISTANCE,
     ),
     "ChArUco 1920x1080, 12 views": ViewsKind(CHARUCO, (1920, 1080), 12),
     "ChArUco 640x480, 16 views, hardly tilted": ViewsKind(
-        FINE, (640, 480), 16, Held(tilt_deg=(0.0, 4.0)), fault=BadSet.NO_TILT
+        FINE,
+        (640, 480),
+        16,
+        Held(tilt_deg=(0.0, 4.0)),
+        fault=BadSet.NO_TILT,
     ),
     "ChArUco 640x480, 16 views of exactly one distance": ViewsKind(
-        FINE, (640, 480), 16, Held(distance_m=(0.5, 0.53)), fault=BadSet.ONE_DISTANCE
+        FINE,
+        (640, 480),
+        16,
+        Held(distance_m=(0.5, 0.53)),
+        fault=BadSet.ONE_DISTANCE,
     ),
     "ChArUco 640x480, 16 views, in the middle only": ViewsKind(
-        FINE, (640, 480), 16, Held(distance_m=(0.9, 1.2), reach=0.05), fault=BadSet.CLUSTERED
+        FINE,
+        (640, 480),
+        16,
+        Held(distance_m=(0.9, 1.2), reach=0.05),
+        fault=BadSet.CLUSTERED,
     ),
     "ChArUco 640x480, 8 views": ViewsKind(FINE, (640, 480), 8, fault=BadSet.TOO_FEW_VIEWS),
 }
@@ -197,7 +225,12 @@ def calibrate_kind(work: tuple[type[FrameRenderer], str, int]) -> KindResult:
         reasons = tuple(fault.reason for fault in refusal.faults)
         right = (kind.refusal or kind.fault) in reasons
         return KindResult(
-            name, None, tuple(r.value for r in reasons), (), (math.nan, math.nan), right
+            name,
+            None,
+            tuple(r.value for r in reasons),
+            (),
+            (math.nan, math.nan),
+            right,
         )
     told = kind.fault is None or kind.fault in (fault.reason for fault in done.faults)
     return _result(name, done, camera, kind.refusal is None and told)
@@ -218,7 +251,12 @@ def camera_of(size: tuple[int, int]) -> CameraModel:
     )
 
 
-def _result(name: str, done: Calibrated, camera: CameraModel, expected: bool) -> KindResult:
+def _result(
+    name: str,
+    done: Calibrated,
+    camera: CameraModel,
+    expected: bool,
+) -> KindResult:
     solution = done.solution
     truth = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     errors = np.array(solution.values[:4]) - truth
@@ -235,7 +273,10 @@ def _result(name: str, done: Calibrated, camera: CameraModel, expected: bool) ->
 
 
 def _photographs(
-    renderer: type[FrameRenderer], camera: CameraModel, kind: ViewsKind, seed: int
+    renderer: type[FrameRenderer],
+    camera: CameraModel,
+    kind: ViewsKind,
+    seed: int,
 ) -> list[np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
     setup = RendererSetup(camera, HERE, HERE, single_marker(), imaging=REALISTIC)
     made = renderer(setup, seed)
@@ -249,7 +290,11 @@ def _photographs(
     ]
 
 
-def curled(board: Board, T_w_o: Pose, sag_m: float = SAG_M) -> tuple[PlacedBoard, ...]:
+def curled(
+    board: Board,
+    T_w_o: Pose,
+    sag_m: float = SAG_M,
+) -> tuple[PlacedBoard, ...]:
     """The print, curled about its y axis: strips that meet in the middles of squares, where no
     corner is.
 

@@ -38,7 +38,13 @@ NEEDS = ("renderer",)
 
 CAMERA = CameraModel(1280, 720, 920.0, 919.0, 642.0, 358.0, (0.112, -0.236, 0.0006, -0.0004, 0.095))
 QUICK_CAMERA = CameraModel(
-    640, 480, 615.2, 615.9, 322.1, 241.3, (0.112, -0.236, 0.0006, -0.0004, 0.095)
+    640,
+    480,
+    615.2,
+    615.9,
+    322.1,
+    241.3,
+    (0.112, -0.236, 0.0006, -0.0004, 0.095),
 )
 BOARDS = {
     "charuco": Board("charuco", 10, 7, 0.030, 0.0225),
@@ -105,7 +111,9 @@ def run(request: TrialRequest) -> TrialResult:
     ]
     outcomes = request.work.map("sets of views", calibrate_set, pieces)
     ends = request.work.map(
-        "kinds of sets", calibrate_kind, [(renderer, kind, request.seed) for kind in kinds]
+        "kinds of sets",
+        calibrate_kind,
+        [(renderer, kind, request.seed) for kind in kinds],
     )
     groups = {
         (c, b): [o for o in outcomes if (o.condition, o.board) == (c, b)]
@@ -222,7 +230,12 @@ def _summary(own: Sequence[SetResult]) -> dict[str, Any]:
     }
 
 
-def _table(groups: Groups, camera: CameraModel, sets: int, views: int) -> TrialTable:
+def _table(
+    groups: Groups,
+    camera: CameraModel,
+    sets: int,
+    views: int,
+) -> TrialTable:
     rows = [
         (
             f"{condition}, {board}",

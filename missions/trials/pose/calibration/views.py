@@ -46,7 +46,11 @@ class Held:
 
 
 def board_poses(
-    camera: CameraModel, board: Board, held: Held, count: int, seed: int
+    camera: CameraModel,
+    board: Board,
+    held: Held,
+    count: int,
+    seed: int,
 ) -> Iterator[Pose]:
     """``T_c_o``, random."""
     rng = np.random.default_rng(seed)

@@ -85,7 +85,12 @@ def read_sequence(folder: Path) -> Sequence:
         frames.append(Frame(file.with_name(file.name.removesuffix(".pose.txt")), _pose(T)))
     height, width = frames[0].depth().shape
     depth = CameraModel(
-        width, height, intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
+        width,
+        height,
+        intrinsics[0, 0],
+        intrinsics[1, 1],
+        intrinsics[0, 2],
+        intrinsics[1, 2],
     )
     camera = RgbdCamera(KINECT_COLOR, depth, KINECT_COLOR_DEPTH, DEPTH_SIGMA_AT_1M_M)
     return Sequence(tuple(frames), camera, levelled(down))
@@ -123,7 +128,11 @@ def pairs_between(
     return found
 
 
-def common(sequence: Sequence, first: int, second: int) -> float:
+def common(
+    sequence: Sequence,
+    first: int,
+    second: int,
+) -> float:
     """Return the share of the second's depth that the first measured too."""
     one = sequence.frames[first]
     two = sequence.frames[second]

@@ -141,7 +141,11 @@ def answer_piece(piece: Piece) -> list[Answer]:
     ]
 
 
-def answer_pair(sequence: Sequence, pair: Pair, rng: np.random.Generator) -> Answer:
+def answer_pair(
+    sequence: Sequence,
+    pair: Pair,
+    rng: np.random.Generator,
+) -> Answer:
     """Ask for one pair's pose, with errors of what drones know."""
     one = sequence.frames[pair.first]
     two = sequence.frames[pair.second]
@@ -152,7 +156,13 @@ def answer_pair(sequence: Sequence, pair: Pair, rng: np.random.Generator) -> Ans
     seen = read_keyframe(one.color(), one.depth(), camera, R1, GRAVITY_SIGMA_RAD, SENT)
     first, sent = over_link(seen, camera.depth)
     second = read_keyframe(
-        two.color(), two.depth(), camera, R2, GRAVITY_SIGMA_RAD, OWN, first.patch_m
+        two.color(),
+        two.depth(),
+        camera,
+        R2,
+        GRAVITY_SIGMA_RAD,
+        OWN,
+        first.patch_m,
     )
     T = one.T_w_c.inverse() @ two.T_w_c
     t = R1 @ T.t

@@ -84,7 +84,9 @@ CONDITIONS = {
     "coarse_print": Condition("coarse print", printing=COARSE),
     "realistic": Condition("realistic", REALISTIC, PRINTED),
     "realistic_coarse": Condition(
-        "realistic, coarse print", REALISTIC, replace(PRINTED, picture_px=COARSE.picture_px)
+        "realistic, coarse print",
+        REALISTIC,
+        replace(PRINTED, picture_px=COARSE.picture_px),
     ),
     "realistic_video": Condition("realistic video", REALISTIC_VIDEO, PRINTED),
     "webcam": Condition("sharp webcam", WEBCAM, PRINTED),
@@ -108,7 +110,12 @@ class ShotPose:
         return camera.project(T_c_v.apply(LAYOUT.markers[0].corners_v))
 
 
-def view(seed: int, number: int, camera: CameraModel, T_b_v: Pose) -> ShotPose:
+def view(
+    seed: int,
+    number: int,
+    camera: CameraModel,
+    T_b_v: Pose,
+) -> ShotPose:
     """A random view: range, incidence and place in the image uniform, the same for every camera of
     one shape.
     """

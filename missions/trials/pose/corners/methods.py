@@ -68,7 +68,12 @@ def find(
     return Found(found[0].corners_px, found[0].covariance_px2) if len(found) == 1 else None
 
 
-def _by_opencv(method: str, image: Image, region: Region, layout: MarkerLayout) -> Found | None:
+def _by_opencv(
+    method: str,
+    image: Image,
+    region: Region,
+    layout: MarkerLayout,
+) -> Found | None:
     area = region.clipped(image.shape[1], image.shape[0])
     if area is None:
         return None

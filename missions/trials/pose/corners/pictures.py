@@ -34,7 +34,11 @@ Scores = Mapping[tuple[str, str, str], Score | None]
 """By camera, condition and method."""
 
 
-def draw_errors(scores: Scores, cameras: Sequence[str], path: Path) -> None:
+def draw_errors(
+    scores: Scores,
+    cameras: Sequence[str],
+    path: Path,
+) -> None:
     """Error of every method in every condition, a panel for each camera."""
     figure = sheet(12.0, 0.6 + 2.9 * len(cameras))
     panels = figure.subplots(len(cameras), 1, sharex=True, squeeze=False)[:, 0]
@@ -42,12 +46,19 @@ def draw_errors(scores: Scores, cameras: Sequence[str], path: Path) -> None:
         _draw_camera(axes, scores, camera)
     panels[0].legend(fontsize=8, loc="upper left", ncols=len(METHODS), framealpha=0.9)
     panels[-1].set_xticks(
-        range(len(CONDITIONS)), [c.title for c in CONDITIONS.values()], rotation=35, ha="right"
+        range(len(CONDITIONS)),
+        [c.title for c in CONDITIONS.values()],
+        rotation=35,
+        ha="right",
     )
     save(figure, path)
 
 
-def _draw_camera(axes: Axes, scores: Scores, camera: str) -> None:
+def _draw_camera(
+    axes: Axes,
+    scores: Scores,
+    camera: str,
+) -> None:
     step = 0.7 / len(METHODS)
     for number, method in enumerate(METHODS):
         shown = [
@@ -59,7 +70,14 @@ def _draw_camera(axes: Axes, scores: Scores, camera: str) -> None:
         y = [s.rms_px for _, s in shown]
         low, high = ([abs(s.interval_px[end] - s.rms_px) for _, s in shown] for end in (0, 1))
         axes.errorbar(
-            x, y, (low, high), fmt="o", ms=4, lw=1.2, color=COLOURS[method], label=TITLES[method]
+            x,
+            y,
+            (low, high),
+            fmt="o",
+            ms=4,
+            lw=1.2,
+            color=COLOURS[method],
+            label=TITLES[method],
         )
     axes.set_yscale("log")
     axes.set_ylim(0.006, 1.5)
@@ -86,7 +104,12 @@ def draw_strip(samples: Sequence[CornerShot], path: Path) -> None:
         _draw_sample(axes, sample)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, frameon=False
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=len(labels),
+        fontsize=9,
+        frameon=False,
     )
     save(figure, path)
 
@@ -98,7 +121,9 @@ def _draw_sample(axes: Axes, sample: CornerShot) -> None:
     u0, v0 = sample.corner_px
     extent = (u0 - 0.5, u0 + width - 0.5, v0 + height - 0.5, v0 - 0.5)
     axes.imshow(
-        cv2.cvtColor(sample.picture, cv2.COLOR_BGR2RGB), extent=extent, interpolation="nearest"
+        cv2.cvtColor(sample.picture, cv2.COLOR_BGR2RGB),
+        extent=extent,
+        interpolation="nearest",
     )
     u, v = sample.true_px.T
     axes.plot(u, v, "+", ms=11, mew=1.4, color=OWN_BOX, label="true")

@@ -71,7 +71,11 @@ def calibration_text(calibration: float | None, interval: Interval | None) -> st
     return f"{calibration:.2f} ({interval[0]:.2f}–{interval[1]:.2f})"
 
 
-def score(samples: Sequence[CornerShot], method: str, seed: int) -> Score | None:
+def score(
+    samples: Sequence[CornerShot],
+    method: str,
+    seed: int,
+) -> Score | None:
     """None when the method found nothing."""
     pairs = [
         (sample.true_px, found) for sample in samples if (found := sample.found[method]) is not None

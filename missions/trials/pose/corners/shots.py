@@ -62,7 +62,12 @@ def shoot(shooting: CornerSeries) -> list[CornerShot]:
     condition = CONDITIONS[shooting.condition]
     here = Pose(np.eye(3), np.zeros(3))
     setup = RendererSetup(
-        camera, here, shooting.T_b_v, LAYOUT, condition.imaging, condition.printing
+        camera,
+        here,
+        shooting.T_b_v,
+        LAYOUT,
+        condition.imaging,
+        condition.printing,
     )
     renderer = shooting.renderer(setup, shooting.seed)
     samples: list[CornerShot] = []
@@ -72,7 +77,9 @@ def shoot(shooting: CornerSeries) -> list[CornerShot]:
         image = renderer.shoot(seen.stage(), Role.RECEIVER, number).color
         region = _predicted(true_px, np.random.default_rng([shooting.seed, REGION_STREAM, number]))
         expected = _expected(
-            seen.T_w_c.inverse() @ seen.T_w_b1 @ shooting.T_b_v, shooting.seed, number
+            seen.T_w_c.inverse() @ seen.T_w_b1 @ shooting.T_b_v,
+            shooting.seed,
+            number,
         )
         found = {
             method: find(method, image, region, LAYOUT, camera, expected) for method in METHODS
@@ -94,7 +101,11 @@ def _predicted(true_px: Matrix, rng: np.random.Generator) -> Region:
     return Region(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _expected(T_c_v: Pose, seed: int, number: int) -> Pose:
+def _expected(
+    T_c_v: Pose,
+    seed: int,
+    number: int,
+) -> Pose:
     """Return the pose that flight would expect."""
     rng = np.random.default_rng([seed, EXPECTED_STREAM, number])
     return Pose(exp(rng.normal(0.0, OFF_RAD, 3)) @ T_c_v.R, T_c_v.t + rng.normal(0.0, OFF_M, 3))
@@ -107,5 +118,11 @@ def _pictured(sample: CornerShot, image: Image) -> CornerShot:
     v0 = max(round(v - reach), 0)
     cut = image[v0 : round(v + reach) + 1, u0 : round(u + reach) + 1].copy()
     return CornerShot(
-        sample.camera, sample.condition, sample.view, sample.true_px, sample.found, cut, (u0, v0)
+        sample.camera,
+        sample.condition,
+        sample.view,
+        sample.true_px,
+        sample.found,
+        cut,
+        (u0, v0),
     )

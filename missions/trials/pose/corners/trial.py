@@ -226,7 +226,9 @@ def _noise_table() -> TrialTable:
         (condition.title, *_departures(condition)) for condition in list(CONDITIONS.values())[1:]
     ]
     return TrialTable(
-        "Cameras, views and conditions", ("what", "how much", "how it is applied"), tuple(rows)
+        "Cameras, views and conditions",
+        ("what", "how much", "how it is applied"),
+        tuple(rows),
     )
 
 

@@ -43,7 +43,10 @@ CORNERS: dict[Method, str] = {
 
 SETTINGS = PoseSettings()  # as in flight
 NEVER_REFUSES = replace(
-    SETTINGS, max_incidence_rad=math.pi, max_sigma_m=math.inf, max_ambiguity=1.0
+    SETTINGS,
+    max_incidence_rad=math.pi,
+    max_sigma_m=math.inf,
+    max_ambiguity=1.0,
 )
 FLIPPED_RAD = math.radians(10.0)
 SESSION_STREAM = 2
@@ -79,7 +82,10 @@ def session_seed(seed: int, session: int) -> int:
 
 
 def errors_of(
-    drawn: DrawnErrors, mounts: Mounts, frame: tuple[int, int, int], on: tuple[Error, ...]
+    drawn: DrawnErrors,
+    mounts: Mounts,
+    frame: tuple[int, int, int],
+    on: tuple[Error, ...],
 ) -> MethodErrors:
     """The errors of a measurement; ``on`` names those that are switched on.
 
@@ -160,7 +166,10 @@ def measure(judging: Judging) -> Results:
 
 
 def judge(
-    sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors
+    sighting: StaticMeasurement,
+    mounts: Mounts,
+    method: Method,
+    errors: MethodErrors,
 ) -> MethodResult:
     """One method on one sighting, told what its session believes."""
     truth = sighting.T_c2_v
@@ -196,7 +205,10 @@ def _true_point(sighting: StaticMeasurement, mounts: Mounts) -> Vector | None:
 
 
 def estimated(
-    sighting: StaticMeasurement, method: Method, errors: MethodErrors, found: MarkerDetection
+    sighting: StaticMeasurement,
+    method: Method,
+    errors: MethodErrors,
+    found: MarkerDetection,
 ) -> MarkerPose | None:
     """The project's pose, with or without gravity; None when it is refused."""
     down_v = down_c = None
@@ -205,7 +217,12 @@ def estimated(
         down_c = _felt(sighting.gravity_b2, errors.attitude_rad[1], errors.mounts.T_b_c2)
     settings = NEVER_REFUSES if method == "photometric" else SETTINGS
     pose = estimate_pose(
-        (found,), errors.layout, errors.cameras[Role.RECEIVER], down_v, down_c, settings
+        (found,),
+        errors.layout,
+        errors.cameras[Role.RECEIVER],
+        down_v,
+        down_c,
+        settings,
     )
     return pose if isinstance(pose, MarkerPose) else None
 
@@ -218,12 +235,18 @@ def sent_point(sighting: StaticMeasurement, errors: MethodErrors) -> Vector | No
         return None
     measured = replace(depth, z_m=errors.depth.measured_m(depth.z_m))
     views = TwoViews(
-        errors.cameras[Role.SENDER], errors.cameras[Role.RECEIVER], rigid(errors.mounts.T_v_c1)
+        errors.cameras[Role.SENDER],
+        errors.cameras[Role.RECEIVER],
+        rigid(errors.mounts.T_v_c1),
     )
     return np.array(locate(views, seen.box, measured, MethodConfig()).point_v_m)
 
 
-def first_ippe(found: MarkerDetection, layout: MarkerLayout, camera: CameraModel) -> Pose:
+def first_ippe(
+    found: MarkerDetection,
+    layout: MarkerLayout,
+    camera: CameraModel,
+) -> Pose:
     """The first of OpenCV's two solutions, the one with the smaller reprojection error."""
     solved: Any = cv2.solvePnPGeneric(
         layout.markers[0].corners_v,
@@ -236,7 +259,11 @@ def first_ippe(found: MarkerDetection, layout: MarkerLayout, camera: CameraModel
     return Pose(rotation.exp(turns[0].ravel()), shifts[0].ravel())
 
 
-def _felt(gravity_b: Vector, error_rad: Vector, T_b_x: Pose) -> Vec3:
+def _felt(
+    gravity_b: Vector,
+    error_rad: Vector,
+    T_b_x: Pose,
+) -> Vec3:
     """Gravity in a frame on a body whose roll and pitch are wrong."""
     turned = rotation.exp(np.array([error_rad[0], error_rad[1], 0.0])) @ gravity_b
     x, y, z = (T_b_x.R.T @ turned).tolist()

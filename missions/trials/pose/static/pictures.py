@@ -58,7 +58,11 @@ def draw_configurations(mounts: Mounts, path: Path) -> None:
         color=ROLE[Role.SENDER],
     )
     above.annotate(
-        "marker", (marker_w[0], marker_w[1]), (-4, -16), textcoords="offset points", fontsize=8
+        "marker",
+        (marker_w[0], marker_w[1]),
+        (-4, -16),
+        textcoords="offset points",
+        fontsize=8,
     )
     for number, (x, y) in enumerate(PLACES_M, 1):
         above.plot(x, y, "*", ms=13, color="#e0760f")
@@ -105,7 +109,10 @@ def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> 
     figure = sheet(11.0, 4.6)
     axes = figure.subplots(1, 2, sharey=True)
     for axis, title, field in zip(
-        axes, ("D2's position", "target's position"), ("d2_m", "target_m"), strict=True
+        axes,
+        ("D2's position", "target's position"),
+        ("d2_m", "target_m"),
+        strict=True,
     ):
         for method in METHODS:
             for pipeline, line in ((HEADLINE, "-"), ("ideal", ":")):
@@ -124,7 +131,13 @@ def draw_errors(results: Mapping[str, Mapping[Method, Results]], path: Path) -> 
     save(figure, path)
 
 
-def _shares(axis: Axes, errors: Array, colour: str, line: str, label: str | None) -> None:
+def _shares(
+    axis: Axes,
+    errors: Array,
+    colour: str,
+    line: str,
+    label: str | None,
+) -> None:
     """A measurement without a pose never reaches its share."""
     given = np.sort(errors[~np.isnan(errors)])
     share = np.arange(1, len(given) + 1) / errors.size
@@ -161,7 +174,11 @@ def draw_view(
     save(figure, path)
 
 
-def _inset(axes: Axes, image: Image, corners_px: Array) -> None:
+def _inset(
+    axes: Axes,
+    image: Image,
+    corners_px: Array,
+) -> None:
     """The marker enlarged."""
     u, v = corners_px.mean(axis=0)
     half = 0.9 * float(np.ptp(corners_px, axis=0).max())

@@ -139,23 +139,36 @@ def hovering(T_w_b: Pose, rng: np.random.Generator) -> Pose:
 
 
 def stage_of(
-    configuration: Configuration, mounts: Mounts, heading_rad: float, rng: np.random.Generator
+    configuration: Configuration,
+    mounts: Mounts,
+    heading_rad: float,
+    rng: np.random.Generator,
 ) -> RenderedInstant:
     """The stage of one measurement; ``heading_rad`` of the target."""
     D1, D2, _ = nominal(configuration, mounts)
     x, y, z = target_w(configuration).tolist()
     drones = {Role.SENDER: hovering(D1, rng), Role.RECEIVER: hovering(D2, rng)}
     return RenderedInstant(
-        drones, (Thing("car", (x, y, z), heading_rad),), float(rng.uniform(0.0, math.tau))
+        drones,
+        (Thing("car", (x, y, z), heading_rad),),
+        float(rng.uniform(0.0, math.tau)),
     )
 
 
-def attitude(roll: float, pitch: float, heading_rad: float) -> Matrix:
+def attitude(
+    roll: float,
+    pitch: float,
+    heading_rad: float,
+) -> Matrix:
     """``R_w_b``; the heading is counter-clockwise from east."""
     return R_W_N @ rotation.R_from_rpy(roll, pitch, 0.5 * math.pi - heading_rad)
 
 
-def _between(eye_w: Vector, a_w: Vector, b_w: Vector) -> float:
+def _between(
+    eye_w: Vector,
+    a_w: Vector,
+    b_w: Vector,
+) -> float:
     """Heading half way between two points."""
     a, b = (math.atan2(p[1] - eye_w[1], p[0] - eye_w[0]) for p in (a_w, b_w))
     return a + 0.5 * rotation.wrapped(b - a)
