@@ -83,7 +83,7 @@ def inject_in_world(
         case "lookalike":
             world.send_lookalike(target)
         case "marker_hidden":
-            world.hide_marker(leg[0])
+            world.hide_marker(leg[0], math.inf if value is None else value)
         case "depth_holes":
             world.depth_holes(*leg)
         case "pilot_takeover" if role is not None:

@@ -16,6 +16,7 @@ from flight.harness.measured import MEASURED
 from flight.harness.renderer import Imaging
 from hil.render import edges as edge_pass
 from hil.render import kernels, primitives, sensor
+from hil.render.bodies.crates import crate_body
 from hil.render.bodies.kinds import model_of_thing
 from hil.render.ground import SCRATCH_ROWS, draw_ground, ground_plane
 from hil.render.looks import LOOKS
@@ -352,17 +353,21 @@ class Renderer:
             for other, own in snapshot.drones.items()
             if other is not role
         ]
-        return drones + [
-            replace(
-                standing(
-                    model_of_thing(snapshot.kind, thing, snapshot.stretch),
-                    thing.position_w_m,
-                    thing.yaw_rad,
-                ),
-                velocity_w=np.array(thing.velocity_w_mps),
-            )
-            for thing in snapshot.objects
-        ]
+        return (
+            drones
+            + [
+                replace(
+                    standing(
+                        model_of_thing(snapshot.kind, thing, snapshot.stretch),
+                        thing.position_w_m,
+                        thing.yaw_rad,
+                    ),
+                    velocity_w=np.array(thing.velocity_w_mps),
+                )
+                for thing in snapshot.objects
+            ]
+            + [crate_body(each) for each in snapshot.crates]
+        )
 
 
 def sense_depth(

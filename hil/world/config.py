@@ -86,9 +86,11 @@ class SceneConfig:
 
     Attributes:
         name: of the scene (docs/scenes.md); "plain" is soil in a soft light without shadows.
+        crates: printed boxes that lie about beside the target's way, at ``sim-rendered``.
     """
 
     name: SceneName = "plain"
+    crates: Annotated[int, Bounds(0, 200, "boxes")] = 0
 
 
 @frozen

@@ -86,7 +86,10 @@ FAULTS: dict[str, FaultKind] = {
     kind.name: kind
     for kind in (
         FaultKind("lookalike", None, "no", "an identical object drives past the target, 0.35 m from it"),
-        FaultKind("marker_hidden", Role.SENDER, "no", "the marker on the sender is covered"),
+        FaultKind(
+            "marker_hidden", Role.SENDER, "may", "the marker on the sender is covered, for so many seconds",
+            most=LONGEST_S,
+        ),
         FaultKind("depth_holes", Role.SENDER, "no", "the depth cameras measure nothing on objects"),
         FaultKind("link_loss", None, "must", "this share of the packets is lost, both ways", True),
         FaultKind(

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.world.clutter import Crate
 from hil.world.snapshot import ObjectTruth
 from hil.world.targets import GroundVehicles, LookAlikeConfig, Point, TargetConfig
 
@@ -57,6 +58,10 @@ class TargetField:
         ]
         self._now: list[tuple[float, tuple[ObjectTruth, ...]]] = [(-1.0, ())] * len(starts)
         self._cells: dict[tuple[int, int], tuple[int, ...]] = {}
+
+    def crates(self, count: int, homes: Sequence[Point], seed: int) -> tuple[Crate, ...]:
+        """Return crates beside the way of the first target."""
+        return self._traffic[0].crates(count, homes, seed)
 
     def target(self, number: int, time_s: float) -> ObjectTruth:
         return self._at(number, time_s)[0]

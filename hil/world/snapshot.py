@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from hil.world.clutter import Crate
 from hil.world.detector import PERFECT, DetectorConfig
 from hil.world.gait import strides_of
 from path.geometry.transforms import Pose
@@ -104,7 +105,7 @@ class Snapshot:
     """Everything at one instant.
 
     ``kind``: of all objects. ``stretch``: times the size that a body of this kind has along x, y
-    and z of its frame.
+    and z of its frame. ``crates``: what else lies on the ground.
     """
 
     time_s: float
@@ -115,6 +116,7 @@ class Snapshot:
     detector: DetectorConfig = PERFECT
     kind: TargetKind = "car"
     stretch: Vec3 = AS_IT_IS
+    crates: tuple[Crate, ...] = ()
 
     def carried_on(self, by_s: float) -> Snapshot:
         """Return the snapshot some milliseconds later or earlier: everything moves on with its

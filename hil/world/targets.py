@@ -17,6 +17,7 @@ from typing import Annotated
 
 import numpy as np
 
+from hil.world.clutter import Crate, crates
 from hil.world.gait import strides_of
 from hil.world.snapshot import ObjectTruth, TargetKind, stretch_of
 from path.arrays import Array
@@ -281,6 +282,14 @@ class GroundVehicles:
             ObjectTruth(first_id + 1 + len(self._apart) + k, (x, y, z), yaw, 0.0)
             for k, ((x, y, yaw), z) in enumerate(zip(parked, heights, strict=True))
         )
+
+    def crates(self, count: int, homes: Sequence[Point], seed: int) -> tuple[Crate, ...]:
+        """Return crates beside the target's way."""
+        middle = self._loop.points.mean(axis=0)
+        parked = [each.position_w_m[:2] for each in self._parked]
+        rng = np.random.default_rng([seed, 0x637274])
+        east, north = middle.tolist()
+        return crates(count, (east, north), self._loop.closest, [*homes, *parked], rng)
 
     def _driven(self, time_s: float) -> tuple[float, float]:
         """Return how far along the loop everything has driven, and how fast.

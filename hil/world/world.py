@@ -21,6 +21,7 @@ from drivers.interfaces import FlightMode
 from flight.harness.fleet import NamedTarget
 from hil.autopilot.autopilot import Autopilot, Estimate
 from hil.autopilot.radio import CENTRED
+from hil.world.clutter import Crate
 from hil.world.config import HomeConfig, PositionOffsetConfig, WorldConfig
 from hil.world.detector import measured_on
 from hil.world.distances import Nearness, nearness
@@ -204,7 +205,8 @@ class Fleet:
         self._truths: dict[str, DroneTruth] = {}
         # the rows of those in the air, once they were asked for
         self._aloft: list[int] | None = None
-        self._covered: set[str] = set()  # whose markers are
+        self._covered: dict[str, float] = {}  # whose markers are, and until when
+        self._crates: tuple[Crate, ...] = ()
         self._no_depth: set[str] = set()  # whose depth cameras measure nothing on objects
         self._pilot_lands_s: dict[str, float] = {}  # when, of drones that a pilot took over
         estimator = config.estimator.times(config.errors.sizes)
@@ -377,9 +379,12 @@ class Fleet:
         """
         truth = self.truth_of
         drones = {OWN: truth(own)} if other is None else {OTHER: truth(other), OWN: truth(own)}
-        return self._seen(
-            drones, self.objects_near(own), other in self._covered, own in self._no_depth
-        )
+        hidden = other is not None and self._hidden(other)
+        return self._seen(drones, self.objects_near(own), hidden, own in self._no_depth)
+
+    def _hidden(self, name: str) -> bool:
+        """Return whether a drone's marker is covered."""
+        return self.time_s < self._covered.get(name, -math.inf)
 
     def _seen(
         self,
@@ -390,7 +395,8 @@ class Fleet:
     ) -> Snapshot:
         target = self.config.target
         return Snapshot(
-            self.time_s, drones, objects, marker_hidden, depth_holes, self.detector, target.kind, target.stretch
+            self.time_s, drones, objects, marker_hidden, depth_holes, self.detector, target.kind, target.stretch,
+            self._crates,
         )  # fmt: skip
 
     def truths(self) -> dict[str, DroneTruth]:
@@ -420,9 +426,9 @@ class Fleet:
 
     # --- faults ---
 
-    def hide_marker(self, name: str) -> None:
-        """Cover a drone's marker."""
-        self._covered.add(name)
+    def hide_marker(self, name: str, for_s: float = math.inf) -> None:
+        """Cover a drone's marker for so long."""
+        self._covered[name] = self.time_s + for_s
         self._changed()
 
     def depth_holes(self, *names: str) -> None:
@@ -432,7 +438,8 @@ class Fleet:
 
     def uncover(self, *names: str) -> None:
         """Let the markers and depth cameras of drones be as before."""
-        self._covered.difference_update(names)
+        for name in names:
+            self._covered.pop(name, None)
         self._no_depth.difference_update(names)
         self._changed()
 
@@ -492,6 +499,8 @@ class World(Fleet):
         homes: dict[str, HomeConfig] = {role: config.true_home(role, seed) for role in Role}
         off: dict[str, Vec3] = {Role.RECEIVER: receiver_off(config.position_offset, seed)}
         super().__init__(config, seed, homes, off)
+        stand = [home.position_m for home in homes.values()]
+        self._crates = self._traffic.crates(config.scene.crates, stand, seed)
 
     def _changed(self) -> None:
         super()._changed()
@@ -514,7 +523,7 @@ class World(Fleet):
         if self._snapshot is None:
             truths = self.truths()
             drones = {role: truths[role] for role in Role}
-            hidden = bool(self._covered)
+            hidden = any(self._hidden(name) for name in self._covered)
             self._snapshot = self._seen(drones, self.all_objects, hidden, bool(self._no_depth))
         return self._snapshot
 

@@ -242,6 +242,11 @@ def test_faults_of_the_world() -> None:
     assert len(after.objects) == len(before.objects) + 1
     world.uncover(*Role)
     assert not world.snapshot().marker_hidden
+    world.hide_marker(Role.SENDER, 0.5)
+    world.advance(world.time_s + 0.4)
+    assert world.snapshot().marker_hidden
+    world.advance(world.time_s + 0.2)
+    assert not world.snapshot().marker_hidden
     world.battery(Role.SENDER, 0.05)
     assert world.drone(Role.SENDER).autopilot.battery == 0.05
     assert world.drone(Role.RECEIVER).autopilot.battery == 1.0
