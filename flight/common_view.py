@@ -23,6 +23,7 @@ from path.common_view.search import Prior
 from path.common_view.straight import Straightened, straight
 from path.config import MethodConfig
 from path.geometry.transforms import Matrix, Pose
+from path.relative_pose.filter import Relative
 from path.values import frozen
 
 KEYFRAME_S = 2.05
@@ -31,6 +32,8 @@ HEADINGS_SIGMA_RAD = math.radians(5.0)
 """Between what both drones take for north."""
 REPORTED_MPS = 0.015
 """By how much a drone's reported place is off where it was, in a second, besides."""
+SURE_TIMES = 3.0
+"""Of the filter's standard deviation, that of a prior."""
 WITHIN_SIGMAS = 2.0
 """Of a position, ``rendezvous.positions_within_m`` and ``heights_within_m`` are so many."""
 
@@ -82,6 +85,22 @@ def prior_of(way_n_m: Array, mission: MissionConfig) -> Prior:
     across_m = rendezvous.positions_within_m / WITHIN_SIGMAS
     sigma = np.array([across_m, across_m, rendezvous.heights_within_m / WITHIN_SIGMAS])
     return Prior(0.0, HEADINGS_SIGMA_RAD, way_n_m, sigma)
+
+
+def prior_by(relative: Relative, marker_l1: Array, R_n_c: Matrix, R_n_v: Matrix) -> Prior:
+    """Return the same by where the filter has the marker: wide enough not to count it twice.
+
+    Args:
+        marker_l1: from D1's camera, when its keyframe was taken, to the marker now, in ``n``.
+        R_n_c, R_n_v: attitudes of D2's camera and of the marker, by their drones.
+    """
+    T_c_v = relative.T_c_v
+    R_l1_l2 = R_n_v @ T_c_v.R.T @ R_n_c.T
+    way = marker_l1 - R_n_v @ (T_c_v.R.T @ T_c_v.t)
+    sigma = np.full(3, SURE_TIMES * relative.sigma_m)
+    turn_rad = math.sqrt(float(np.trace(relative.covariance[3:, 3:])) / 3.0)
+    yaw_rad = math.atan2(R_l1_l2[1, 0], R_l1_l2[0, 0])
+    return Prior(yaw_rad, min(HEADINGS_SIGMA_RAD, SURE_TIMES * turn_rad), way, sigma)
 
 
 @frozen(eq=False)

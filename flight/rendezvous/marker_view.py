@@ -152,9 +152,13 @@ class MarkerView:
         self._filter.set_peer_velocity(motion.peer_stamp_ns, motion.peer_n_mps)
         self._motion = motion
 
-    def predict(self, stamp_ns: int) -> Relative | None:
-        """The marker at an instant; None when it was not seen for too long."""
-        return self._filter.predict(stamp_ns)
+    def predict(
+        self, stamp_ns: int, R_n_c: Matrix | None = None, R_n_v: Matrix | None = None
+    ) -> Relative | None:
+        """The marker at an instant; None when it was not seen for too long. Attitudes: as of the
+        filter.
+        """
+        return self._filter.predict(stamp_ns, R_n_c, R_n_v)
 
     def unseen_s(self, stamp_ns: int) -> float:
         return self._filter.unseen_s(stamp_ns)

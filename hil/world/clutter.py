@@ -36,6 +36,11 @@ class Crate:
     size_m: Vec3
     look: int
 
+    @property
+    def half_m(self) -> float:
+        """Return how far it reaches from its middle along the ground."""
+        return 0.5 * math.hypot(self.size_m[0], self.size_m[1])
+
 
 def crates(
     count: int,
@@ -62,7 +67,7 @@ def crates(
         half_m = 0.5 * math.hypot(length, width)
         room_m = from_loop_m(place) - half_m - ASIDE_M
         free = all(math.dist(place, each) > half_m + CLEAR_M for each in standing)
-        apart = all(math.dist(place, each.place_m) > half_m + SIDES_M[1] for each in placed)
+        apart = all(math.dist(place, each.place_m) > half_m + each.half_m for each in placed)
         if 0.0 < room_m < REACH_M and free and apart:
             # Nothing that drives is hidden behind one from 45 degrees above.
             low_m = min(height, ASIDE_M + room_m)

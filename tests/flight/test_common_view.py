@@ -15,6 +15,7 @@ from flight.common_view import (
     keyframe_source,
     marker_pose,
     parts_hz,
+    prior_by,
 )
 from flight.config import MissionConfig
 from path.camera.model import CameraModel
@@ -24,6 +25,7 @@ from path.common_view.straight import straight
 from path.config import MethodConfig
 from path.geometry import rotation
 from path.geometry.transforms import Pose
+from path.relative_pose.filter import Relative
 from tests.path.common_view.drawn import LENS, around, drawn, looks, room
 
 T_C1_V = Pose(rotation.exp(np.array([0.3, 2.0, -0.4])), np.array([0.05, -0.1, -0.3]))
@@ -51,6 +53,21 @@ def test_the_marker_is_where_the_common_view_puts_it_within_the_stated_covarianc
     assert np.linalg.norm(off[:3]) < 0.1
     assert np.linalg.norm(off[3:]) < math.radians(3.0)
     assert off @ np.linalg.solve(pose.covariance, off) < 22.5
+
+
+def test_what_the_filter_knows_is_a_prior_where_it_has_the_marker_and_three_times_as_wide() -> None:
+    heading = rotation.exp(np.array([0.0, 0.0, 0.06]))
+    T_n_c1 = Pose(*around(0.0))
+    T_n_c2 = Pose(*around(25.0))
+    T_n_v = T_n_c1 @ T_C1_V
+    covariance = np.diag([1.0, 1.0, 1.0, 0.01, 0.01, 0.01]) * 0.0016
+    seen = Relative((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.04, T_n_c2.inverse() @ T_n_v, covariance)
+    # D2 takes another direction for north.
+    prior = prior_by(seen, T_n_v.t - T_n_c1.t, heading @ T_n_c2.R, T_n_v.R)
+    np.testing.assert_allclose(prior.t_m, T_n_c2.t - T_n_c1.t, atol=1e-9)
+    np.testing.assert_allclose(prior.t_sigma_m, 0.12)
+    assert prior.yaw_rad == pytest.approx(-0.06)
+    assert prior.yaw_sigma_rad == pytest.approx(0.012)
 
 
 def test_a_lens_that_bends_is_straightened_before_a_keyframe_is_made() -> None:

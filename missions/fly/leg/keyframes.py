@@ -23,6 +23,7 @@ from flight.common_view import (
     keyframe_source,
     marker_pose,
     parts_hz,
+    prior_by,
     prior_of,
 )
 from flight.frame.records import common_view_record
@@ -35,6 +36,7 @@ from path.common_view.estimate import CommonView, Unknown, common_view
 from path.common_view.keyframe import Keyframe
 from path.common_view.parts import Gathered, parts_of
 from path.common_view.read import OWN, SENT
+from path.common_view.search import Prior
 from path.geometry.transforms import Matrix, Pose
 from path.messages import KeyframePart
 from path.observations import Missed
@@ -189,9 +191,8 @@ class CommonViews:
             assert look is not None
             flown_n_m = self._peer_at(look.frame.stamp_ns) - self._peer_at(self._first_ns)
             age_s = (look.frame.stamp_ns - self._first_ns) * 1e-9
-            found, seen = await aside(
-                self._session, SOLVE_S, self._solve, first, look, self._way(first, look)
-            )
+            prior = self._prior(first, look, flown_n_m)
+            found, seen = await aside(self._session, SOLVE_S, self._solve, first, look, prior)
             if seen is not None:
                 seen = self._now(seen, first, look, flown_n_m, age_s)
             self._note(look, age_s, found, seen)
@@ -206,17 +207,23 @@ class CommonViews:
         place = [np.interp(stamp_ns, stamps, places[:, axis]) for axis in range(3)]
         return np.array(place) + beyond_s * np.array(velocity)
 
-    def _way(self, first: Keyframe, look: _Look) -> Array:
-        """Return the way from D1's camera to D2's in ``n``, by both drones' reports."""
+    def _prior(self, first: Keyframe, look: _Look, flown_n_m: Array) -> Prior:
+        """Return where this drone's camera is in D1's levelled frame, as far as it is known: by the
+        filter, or before and after a long coast by both drones' reports.
+        """
+        relative = self._marker.predict(look.frame.stamp_ns, look.T_n_c.R, look.R_n_v)
+        if relative is not None:
+            marker_l1 = first.R_l_c @ self._T_c1_v.t + flown_n_m
+            return prior_by(relative, marker_l1, look.T_n_c.R, look.R_n_v)
         R_n_b1 = first.R_l_c @ self._mount.T_b_c.R.T
         camera_m = self._peer_at(self._first_ns) + R_n_b1 @ self._mount.T_b_c.t
-        return look.T_n_c.t - camera_m
+        return prior_of(look.T_n_c.t - camera_m, self._session.config)
 
     def _solve(
-        self, first: Keyframe, look: _Look, way_n_m: Array
+        self, first: Keyframe, look: _Look, prior: Prior
     ) -> tuple[CommonView | Unknown, MeasuredPose | None]:
         second = self._reader.read(look.frame, look.T_n_c.R, OWN, first.patch_m)
-        found = common_view(first, second, prior_of(way_n_m, self._session.config))
+        found = common_view(first, second, prior)
         if isinstance(found, Unknown):
             return found, None
         return found, marker_pose(found, first, second, self._T_c1_v)
