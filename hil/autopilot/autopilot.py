@@ -98,7 +98,7 @@ class Autopilot:
         self._companion_s: float | None = None  # when a ground station was last heard
         self._pilot = SILENT  # what was last heard of the radio
         self._killed_s = 0.0
-        self._outside = False  # its own fence
+        self.outside = False  # its own fence
         self._radio_lost_s: float | None = None  # since when it holds because of that
         self._radio_optional = False  # it was armed without one
         # the low battery has made it land already; the pilot may still take over
@@ -386,11 +386,11 @@ class Autopilot:
         )
         wide = fence.radius_m > 0.0 and math.hypot(north, east) > fence.radius_m
         high = fence.height_m > 0.0 and -down + self.altitude_drift_m > fence.height_m
-        before = self._outside
-        self._outside = wide or high
+        before = self.outside
+        self.outside = wide or high
         if (
             before
-            or not self._outside
+            or not self.outside
             or self.landed
             or self.mode is FlightMode.LAND
             or fence.action not in AT_FENCE

@@ -53,7 +53,12 @@ _ALWAYS_HEALTHY = (
     | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
     | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
 )
-_WATCHED = _ALWAYS_HEALTHY | mavlink.MAV_SYS_STATUS_SENSOR_GPS | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+_WATCHED = (
+    _ALWAYS_HEALTHY
+    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    | mavlink.MAV_SYS_STATUS_GEOFENCE
+)
 _LANDED_STATES = {
     FlightMode.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
     FlightMode.LAND: mavlink.MAV_LANDED_STATE_LANDING,
@@ -145,6 +150,8 @@ def sys_status(flight: FlightInstant) -> Any:
         healthy |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
     if autopilot.armable or autopilot.armed:
         healthy |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    if not autopilot.outside:
+        healthy |= mavlink.MAV_SYS_STATUS_GEOFENCE
     there = _WATCHED
     if autopilot.radio_heard:
         there |= mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER

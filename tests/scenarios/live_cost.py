@@ -3,27 +3,31 @@ test, a command.
 
     python -m tests.scenarios.live_cost [--rig sitl-light] [--pairs 3] [--seed 0] [--out FOLDER]
 
-With ``--live`` a client takes all topics, in a process of its own. Of each flight: pairs a second,
-and how old a frame is when its cycle begins, over both drones. The last lines are the medians, and
-their ratio.
+With ``--live`` three others look at the page, each in a process of its own, and one of them is stopped
+(SIGSTOP) from the take-off on. Of each flight: pairs a second, and how old a frame is when its cycle
+begins, over both drones. The last lines are the medians, and their ratio.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import socket
 import statistics
 import subprocess
 import sys
 import tempfile
-import threading
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from missions.look.live.gate import TOKEN
 from missions.look.report.records import drone_logs
-from missions.look.view.watch import Watcher
+from tests.free_ports import free_port
+from tests.missions.look.live.watcher import hears, look_too, until
 
-ADDRESS = "127.0.0.1:8799"
+SECRET = "0123456789abcdef"
 FLIGHT_S = 400.0
 
 
@@ -45,12 +49,7 @@ def main() -> int:
     parser.add_argument("--pairs", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=None)
-    parser.add_argument(
-        "--watch", action="store_true", help="take all topics of a flight, until it ends"
-    )
     asked = parser.parse_args()
-    if asked.watch:
-        return _watch()
     out: Path = asked.out or Path(tempfile.mkdtemp(prefix="live-cost-"))
     flown: list[FlightFigures] = []
     for number in range(asked.pairs):
@@ -69,30 +68,20 @@ def main() -> int:
 
 
 def fly(rig: str, seed: int, live: bool, out: Path) -> FlightFigures:
-    command = [
-        sys.executable,
-        "-m",
-        "missions.cli",
-        "handoff",
-        "--rig",
-        rig,
-        "--seed",
-        str(seed),
-        "--out",
-        str(out),
-    ]
-    command += ["--no-picture", *(["--live", ADDRESS] if live else [])]
-    client = (
-        subprocess.Popen([sys.executable, "-m", "tests.scenarios.live_cost", "--watch"])
-        if live
-        else None
-    )
-    try:
-        subprocess.run(command, stdout=subprocess.DEVNULL, timeout=FLIGHT_S, check=False)
-    finally:
-        if client is not None:
-            client.kill()
-            client.wait()
+    command = [sys.executable, "-m", "missions.cli", "handoff", "--rig", rig, "--seed", str(seed)]
+    command += ["--out", str(out), "--no-picture"]
+    port = free_port(socket.SOCK_STREAM)
+    if live:
+        command += ["--live", f"127.0.0.1:{port}"]
+    with ExitStack() as stack:
+        flight = stack.enter_context(
+            subprocess.Popen(command, stdout=subprocess.DEVNULL, env={**os.environ, TOKEN: SECRET})
+        )
+        stack.callback(flight.kill)
+        if live:
+            until(hears(port, SECRET), lambda now: bool(now["drones"]))
+            look_too(port, SECRET, 3, stack)
+        flight.wait(FLIGHT_S)
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     ages = [
         r.record["age_ns"] * 1e-6
@@ -114,14 +103,6 @@ def _middle(flights: list[FlightFigures]) -> tuple[float, float, float]:
         median(each.age_ms[0] for each in flights),
         median(each.age_ms[1] for each in flights),
     )
-
-
-def _watch() -> int:
-    """Takes all that comes, before the flight and until it is killed."""
-    watcher, forever = Watcher(ADDRESS), threading.Event()
-    while not forever.is_set():
-        watcher.next(1.0)
-    return 0
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -22,7 +21,7 @@ from drivers.log.mcap_log import read_log
 from hil.camera.shared import folder
 from missions.look.live.gate import TOKEN
 from tests.free_ports import free_port
-from tests.missions.look.live.watcher import hears, tap_twice, until
+from tests.missions.look.live.watcher import hears, look_too, tap_twice, until
 from tests.overloaded import Flown, Repeating
 from tests.run_processes import left_of, processes_of
 
@@ -79,7 +78,7 @@ def fly(out: Path) -> Flown[tuple[Path, int]]:
         heard = hears(port, SECRET)
         there = until(heard, lambda now: phase_of(now, "sender") == "acquire") is not None
         if there:
-            look_too(port, stack)
+            look_too(port, SECRET, 2, stack)
             tap = {"act": "place", "place": place_of(out), "error_m": FINGER_M}
             assert "m north" in tap_twice(port, SECRET, tap)
             there = until(timely(heard), lambda now: phase_of(now, "receiver") == "stand-off")
@@ -102,17 +101,6 @@ def place_of(out: Path) -> list[float]:
     *_, newest = read_log(out / "world.mcap", {"/truth"})
     east, north, _ = newest.record["objects"][0]["t"]
     return [north, east]
-
-
-def look_too(port: int, stack: ExitStack) -> None:
-    """Have two others look, one of whom stands still from now on."""
-    for stops in (False, True):
-        words = [sys.executable, "-m", "tests.missions.look.live.watcher", str(port), SECRET]
-        other = stack.enter_context(subprocess.Popen(words))
-        stack.callback(other.kill)
-        if stops:
-            next(hears(port, SECRET))
-            other.send_signal(signal.SIGSTOP)
 
 
 def timely(heard: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:

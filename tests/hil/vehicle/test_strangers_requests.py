@@ -209,6 +209,21 @@ def test_modes_are_listed_by_name_all_or_one(bench: Bench) -> None:
     assert bench.command(ask, listed, 99.0) == mavlink.MAV_RESULT_DENIED
 
 
+def test_its_fence_is_well_until_it_is_outside(bench: Bench) -> None:
+    """MAVProxy said "fence breach" of a vehicle that stood at home: it told of no fence at all."""
+    fence = mavlink.MAV_SYS_STATUS_GEOFENCE
+
+    def told() -> tuple[bool, bool]:
+        bench.run(1.0)
+        status = bench.of("SYS_STATUS")[-1]
+        enabled = status.onboard_control_sensors_enabled & fence
+        return bool(enabled), bool(status.onboard_control_sensors_health & fence)
+
+    assert told() == (True, True)
+    bench.drone.autopilot.outside = True  # it was on the ground: nothing looks again
+    assert told() == (True, False)
+
+
 def test_a_head_up_display_shows_heading_height_and_climb(bench: Bench) -> None:
     bench.fly_at(1.5)
     bench.run(1.0)

@@ -8,10 +8,12 @@ is one of several that only look, for ever.
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from http.client import HTTPConnection
 from typing import Any
 
@@ -53,6 +55,19 @@ def tap_twice(port: int, token: str, order: dict[str, Any]) -> str:
     return _act(port, token, {"again": first["again"]})["done"]
 
 
+def look_too(port: int, token: str, others: int, stack: ExitStack) -> None:
+    """Have so many others look, the last of whom stands still once it hears; until the stack
+    ends.
+    """
+    words = [sys.executable, "-m", __name__, str(port), token]
+    for number in range(others):
+        other = stack.enter_context(subprocess.Popen(words, stdout=subprocess.PIPE))
+        stack.callback(other.kill)
+        assert other.stdout is not None and other.stdout.readline() == b"hears\n"
+        if number == others - 1:
+            other.send_signal(signal.SIGSTOP)
+
+
 def _act(port: int, token: str, order: dict[str, Any]) -> dict[str, Any]:
     line = HTTPConnection(HOST, port, timeout=30.0)
     line.request("POST", f"/act?token={token}", json.dumps({**order, "token": token}))
@@ -60,5 +75,8 @@ def _act(port: int, token: str, order: dict[str, Any]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    for _ in hears(int(sys.argv[1]), sys.argv[2]):
+    every = hears(int(sys.argv[1]), sys.argv[2])
+    next(every)
+    print("hears", flush=True)
+    for _ in every:
         pass
