@@ -18,6 +18,15 @@ RIG = """
 like = "sim-rendered"
 name = "mine"
 
+[mission.deadlines]
+peer_s = 5.0
+
+[sender.perception.camera]
+rate_hz = 20.0
+
+[receiver.perception.camera]
+rate_hz = 20.0
+
 [receiver.perception.detector]
 factory = "{factory}"
 {options}

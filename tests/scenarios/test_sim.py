@@ -412,7 +412,9 @@ def test_a_marker_of_another_id_is_said_by_its_id(
     impatient = text.replace(
         "[mission.target]", "[mission.deadlines]\nsearch_s = 2.0\n\n[mission.target]"
     )
-    (tmp_path / "rig.toml").write_text(impatient, "utf-8")
+    slower = impatient.replace("rate_hz = 50.0", "rate_hz = 20.0")
+    assert slower != impatient
+    (tmp_path / "rig.toml").write_text(slower, "utf-8")
     flown = fly(str(tmp_path / "rig.toml"), tmp_path / "out")
     assert flown.facts.outcome == "marker_not_found"
     told = "marker 7 of DICT_4X4_50 is there: asked for is marker 0 of DICT_4X4_50"

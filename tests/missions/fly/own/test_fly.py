@@ -139,7 +139,6 @@ def test_one_seed_is_one_run(searched: tuple[Path, RunFacts], tmp_path: Path) ->
     [
         ("drone.fail('nothing to do')", Outcome.MISSION_FAILED, "nothing to do"),
         ("1 / 0", Outcome.CRASHED, "ZeroDivisionError"),
-        ("raise SystemExit", Outcome.CRASHED, "ends the program, by sys.exit"),
         (
             "await drone.fly_to(20.0, 0.0, 2.0, within_s=3.0)",
             Outcome.MISSION_FAILED,
