@@ -17,7 +17,7 @@ import pytest
 
 from tests.mutants import trials
 from tests.mutants.__main__ import main, show, summarize
-from tests.mutants.operators import Mutation, mutated, mutations
+from tests.mutants.operators import mutated, mutations
 from tests.mutants.rooms import (
     FileTests,
     Room,
@@ -80,26 +80,17 @@ def test_the_same_change_in_two_places_has_two_names() -> None:
     assert second.name == f"{first.name} (no. 2)" and first.where == "A.f" and first.line == 3
 
 
-@pytest.fixture(scope="module")
-def real() -> dict[str, list[Mutation]]:
-    """All wrong changes of the real modules, by room."""
+def test_every_wrong_version_of_the_real_modules_is_python_and_the_equivalent_ones_are_among_them() -> (
+    None
+):
+    """Both in one test, which is one worker's: to change all modules takes seconds."""
     table = load_table()
-    return {room.name: [one for _, one in of_room(table, room, ROOT)] for room in table.rooms}
-
-
-def test_every_wrong_version_of_the_real_modules_is_python_and_has_a_name_of_its_own(
-    real: dict[str, list[Mutation]],
-) -> None:
+    real = {room.name: [one for _, one in of_room(table, room, ROOT)] for room in table.rooms}
     for room, found in real.items():
         assert len(found) >= 40 and len({one.name for one in found}) == len(found), room
         for one in found[:: len(found) // 12]:
             compile(mutated((ROOT / one.file).read_text(), one), one.file, "exec")
 
-
-def test_what_is_called_equivalent_is_a_change_that_can_be_made(
-    real: dict[str, list[Mutation]],
-) -> None:
-    table = load_table()
     every = [one for found in real.values() for one in found]
     assert set(table.equivalent) - {one.name for one in every} == set()
     assert all(len(why) > 20 for why in (*table.equivalent.values(), *table.arbitrary.values()))
