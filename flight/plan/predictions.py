@@ -135,10 +135,7 @@ def _limits(of: Flown) -> list[Prediction]:
     wind_mps = most_wind_mps(of)
     return [
         Prediction(
-            "speed_mps",
-            "fastest target that is followed",
-            speed_mps,
-            f"{speed_mps:.1f} m/s",
+            "speed_mps", "fastest target that is followed", speed_mps, f"{speed_mps:.1f} m/s"
         ),
         Prediction("wind_mps", "wind that can be borne", wind_mps, f"{wind_mps:.1f} m/s"),
     ]

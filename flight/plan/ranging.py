@@ -60,20 +60,11 @@ def _ground(facts: Facts, range_m: float) -> Depth | None:
     pixels = facts.method.pixel_sigma_px / facts.sender.camera.fy
     angle = math.hypot(facts.attitude_sigma_rad, pixels)
     return by_ground(
-        above_m,
-        math.hypot(known_m, height.uneven_m),
-        angle,
-        sight,
-        _body(facts),
-        source,
+        above_m, math.hypot(known_m, height.uneven_m), angle, sight, _body(facts), source
     )
 
 
-def _size(
-    facts: Facts,
-    range_m: float,
-    measured: bool,
-) -> Depth | None:
+def _size(facts: Facts, range_m: float, measured: bool) -> Depth | None:
     """Asked as in flight: only where there is no depth."""
     if measured:
         return None

@@ -56,12 +56,7 @@ class Aboard:
     _parts: Parts  # once they are open
 
     def __init__(
-        self,
-        rig: Rig,
-        relay: RelayConfig,
-        base: Ground,
-        name: str,
-        given: ProgramContext,
+        self, rig: Rig, relay: RelayConfig, base: Ground, name: str, given: ProgramContext
     ) -> None:
         self._rig = rig
         self._relay = relay
@@ -96,9 +91,7 @@ class Aboard:
         if own.guard is not None:
             line = guard_line_of(own.guard, Role.RECEIVER, context.clock, self._harness)
             guard = UnderGuard(
-                await stack.enter_async_context(line),
-                context.clock,
-                self._mission.guard_process,
+                await stack.enter_async_context(line), context.clock, self._mission.guard_process
             )
         leave_opening(self._harness)
         # one for all sessions: a step is taken out once
@@ -122,12 +115,7 @@ class Aboard:
             create(self._alone.role(role).link, self._context(role))
         )
 
-    def _session(
-        self,
-        role: Role,
-        leg: Leg | None,
-        link: Link,
-    ) -> RoleSession:
+    def _session(self, role: Role, leg: Leg | None, link: Link) -> RoleSession:
         drones = {drone.name: drone for drone in self._relay.drones}
         rig = (
             self._alone
@@ -136,33 +124,19 @@ class Aboard:
         )
         number = 1 if leg is None else 1 + (leg.number - 1) % 65535
         config: MissionConfig = replace(
-            self._mission,
-            handoff_id=number,
-            follow_after_s=self._relay.follow_s,
+            self._mission, handoff_id=number, follow_after_s=self._relay.follow_s
         )
         parts = self._parts
         given = self._given
         made = (parts.clock, parts.vehicle, parts.perception, link)
         session = RoleSession(
-            rig,
-            role,
-            config,
-            given.log,
-            given.emit,
-            given.stop,
-            made,
-            self._entropy,
-            parts.guard,
+            rig, role, config, given.log, given.emit, given.stop, made, self._entropy, parts.guard
         )
         self._flying = session
         return session
 
     async def _go_on(
-        self,
-        before: RoleSession,
-        leg: Leg | None,
-        link: Link,
-        track: TargetTrack | None,
+        self, before: RoleSession, leg: Leg | None, link: Link, track: TargetTrack | None
     ) -> tuple[RoleSession, Holder]:
         """The next session of a drone that stays in the air: the same pilot flies it, and misses no
         setpoint.
@@ -225,12 +199,7 @@ class Aboard:
     def _tell_place(self, holder: Holder) -> None:
         """The base of a relay need not know where the target is."""
 
-    async def _give_up(
-        self,
-        session: RoleSession,
-        flown: Holder | Relief,
-        end: MissionEnd,
-    ) -> None:
+    async def _give_up(self, session: RoleSession, flown: Holder | Relief, end: MissionEnd) -> None:
         """Does nothing at a relay's end: its last drone stays responsible until a person says where
         the target is.
         """
@@ -248,19 +217,11 @@ class Aboard:
             self._failed_at = None
             return wanted
         velocity = keep_clear(
-            wanted.velocity_n_mps,
-            state.position_n_m,
-            place_n_m,
-            self._relay.clear_m,
+            wanted.velocity_n_mps, state.position_n_m, place_n_m, self._relay.clear_m
         )
         return replace(wanted, velocity_n_mps=velocity)
 
-    async def come_home(
-        self,
-        session: RoleSession,
-        end: MissionEnd | None,
-        aside: Anchor,
-    ) -> bool:
+    async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
         """Out of the others' way, up, home, and down; where that cannot be flown, down."""
         *way, above = way_home(aside, self.above_home(self._relay.return_height_m))
         if may_manoeuvre(session, end):

@@ -53,10 +53,7 @@ class Conduct(Protocol):
         ...
 
     def come_home(
-        self,
-        session: RoleSession,
-        end: MissionEnd | None,
-        aside: Anchor,
+        self, session: RoleSession, end: MissionEnd | None, aside: Anchor
     ) -> Awaitable[bool]:
         """True when the script landed the vehicle."""
         ...
@@ -84,11 +81,7 @@ class Holder(Sender):
     """The responsible drone: alone with the target, or handing it over."""
 
     def __init__(
-        self,
-        session: RoleSession,
-        store: RecordStore,
-        conduct: Conduct,
-        track: TargetTrack | None,
+        self, session: RoleSession, store: RecordStore, conduct: Conduct, track: TargetTrack | None
     ) -> None:
         super().__init__(session, store)
         self._track = track
@@ -175,12 +168,7 @@ class Holder(Sender):
 class Relief(Receiver):
     """The drone that is called: the receiver of a handoff, which does not land after it."""
 
-    def __init__(
-        self,
-        session: RoleSession,
-        store: RecordStore,
-        conduct: Conduct,
-    ) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore, conduct: Conduct) -> None:
         super().__init__(session, store)
         self._conduct = conduct
 
