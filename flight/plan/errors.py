@@ -27,6 +27,7 @@ import numpy as np
 
 from flight.plan.facts import Facts
 from flight.plan.geometry import Layout
+from flight.plan.ranging import lasting_m
 from flight.rendezvous.viewpoint import Viewpoint
 from path.arrays import Array
 from path.geometry.transforms import Pose
@@ -34,8 +35,6 @@ from path.values import frozen
 
 STEP = 1e-5  # of the differences: small against every error, large against rounding
 # What docs/errors.md has for a careful crew where the rig states nothing.
-DEPTH_SHARE = 0.01
-DEPTH_BIAS_M = 0.003
 FOCAL_SHARE = 0.002
 CENTER_PX = 1.0
 SIDE_SHARE = 0.0025
@@ -73,7 +72,7 @@ class Source:
 
 @frozen
 class Predicted:
-    """The predicted errors of a hand-over, m."""
+    """The predicted errors of a hand-over, m: how large D2's and the target's usually are (median)."""
 
     sources: tuple[Source, ...]
     receiver_m: float
@@ -105,8 +104,9 @@ def predict(facts: Facts, placed: Layout) -> Predicted:
     mount_rad = math.radians(method.mount_sigma_deg)
     lag_m = LATE_S * facts.target.max_speed_mps
     z1_m = placed.range_m
+    range_m = lasting_m(facts, z1_m, placed.target_h)
     sources = (
-        chain.source("depth", 1, math.hypot(DEPTH_SHARE * z1_m, DEPTH_BIAS_M), "m", chain.by_depth),
+        chain.source("D1's range", 1, range_m, "m", chain.by_depth),
         chain.source("mount, place", 3, method.mount_sigma_m, "m", chain.by_mount),
         chain.source("mount, angle", 3, mount_rad, "rad", chain.by_mount_angle),
         chain.source("D2's pose, place", 3, pose.place_m, "m", chain.by_pose),
@@ -120,16 +120,12 @@ def predict(facts: Facts, placed: Layout) -> Predicted:
     )
     sways_rad_s = TILT_RAD / facts.drone.response_s
     moves_mps = USUAL_SPEED * facts.target.max_speed_mps + z1_m * sways_rad_s
-    target_m = math.sqrt(
-        (DEPTH_SHARE * z1_m) ** 2
-        + DEPTH_BIAS_M**2
-        + (DEPTH_ON_BODY * span_m) ** 2
-        + 2.0 * (z1_m * math.radians(MOUNT_DEG)) ** 2
-        + 3.0 * method.mount_sigma_m**2
-        + 3.0 * pose.place_m**2
-        + 2.0 * (placed.receiver_range_m * pose.angle_rad) ** 2
-        + (FORETOLD_S * moves_mps) ** 2
-    )
+    # each of the three axes in turn, along D1's line of sight first
+    every = method.mount_sigma_m**2 + pose.place_m**2 + (FORETOLD_S * moves_mps) ** 2 / 3.0
+    along = every + range_m**2 + (DEPTH_ON_BODY * span_m) ** 2
+    turned_m = math.hypot(z1_m * math.radians(MOUNT_DEG), placed.receiver_range_m * pose.angle_rad)
+    across = every + turned_m**2
+    target_m = usual_m((along, across, across))
     return Predicted(sources, pose.camera_m, target_m)
 
 
@@ -163,15 +159,27 @@ def _pose_sigmas(facts: Facts, viewpoint: Viewpoint) -> _PoseSigmas:
 
 
 def _camera_m(viewpoint: Viewpoint, distance_m: float, slant: float, level_rad: float) -> float:
-    """Return the root mean square error of D2's camera in the plate's frame in a single frame.
+    """Return how large the error of D2's camera in the plate's frame usually is in a single frame.
 
     The turn about level axes is read off the plate too: of a large one better than off gravity.
     """
     corner = math.hypot(LASTING_CORNER_PX, CORNER_PX) / viewpoint.marker_px
     turn_rad = corner / math.sin(slant)
     both_rad = 1.0 / math.hypot(1.0 / turn_rad, 1.0 / max(level_rad, 1e-9))
-    across = 2.0 * (turn_rad**2 + 2.0 * both_rad**2) / 3.0
-    return distance_m * math.sqrt(SIDE_SHARE**2 + corner**2 + across)
+    across = (turn_rad**2 + 2.0 * both_rad**2) / 3.0
+    return distance_m * usual_m((SIDE_SHARE**2 + corner**2, across, across))
+
+
+def usual_m(variances: tuple[float, ...]) -> float:
+    """Return the median length of a vector whose components have these variances.
+
+    Its square is about a gamma variable with the same mean and variance (Wilson and Hilferty 1931).
+    """
+    mean = sum(variances)
+    if not mean > 0.0:
+        return 0.0
+    shape = mean**2 / (2.0 * sum(each**2 for each in variances))
+    return math.sqrt(mean) * (1.0 - 1.0 / (9.0 * shape)) ** 1.5
 
 
 def _lens_rad(focal_px: float) -> float:

@@ -15,6 +15,7 @@ from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig, decode_part
 from flight.config import MissionConfig
 from path.camera.model import CameraModel
 from path.config import MethodConfig
+from path.target.monocular import TargetSize
 from path.values import frozen
 
 
@@ -37,6 +38,8 @@ class Facts:
         marker_side_m: of the largest print of D1's plate.
         method: for the depth camera's law and limits, and the uncertainties of mounts and pixels.
         attitude_sigma_rad: of either vehicle's roll and pitch.
+        size_sigma: of a range by the target's size, relative, where D1 has no depth; 0: it has.
+        height_sigma_m: of D1's height over the ground of the target, where that ranges it.
     """
 
     sender: Eye
@@ -49,6 +52,8 @@ class Facts:
     attitude_sigma_rad: float
     link: LinkFacts = field(default_factory=LinkFacts)
     height: HeightFacts | None = None
+    size_sigma: float = 0.0
+    height_sigma_m: float = 0.0
 
     def with_side(self, side_m: float) -> Facts:
         """Return these facts with another print."""
@@ -68,7 +73,14 @@ def facts_of(rig: Rig, mission: MissionConfig) -> Facts:
         attitude_sigma_rad=math.radians(mission.attitude_sigma_deg),
         link=rig.link or LinkFacts(),
         height=rig.height,
+        size_sigma=_size_sigma(rig.sender),
+        height_sigma_m=0.0 if mission.target.flies else mission.height_sigma_m,
     )
+
+
+def _size_sigma(own: RoleRig) -> float:
+    size = getattr(decode_part(own.perception)[1], "target", None)
+    return size.sigma if isinstance(size, TargetSize) else 0.0
 
 
 def _implied_target(method: MethodConfig, mission: MissionConfig) -> TargetFacts:

@@ -20,8 +20,6 @@ from flight.plan.geometry import apparent
 from flight.rendezvous.viewpoint import Viewpoint
 from path.values import frozen
 
-MEDIAN = 0.89  # of the root mean square of three equal components: how large an error usually is
-
 
 @frozen
 class Prediction:
@@ -96,14 +94,14 @@ def _errors(of: Flown) -> list[Prediction]:
         Prediction(
             "receiver_error_m",
             "error of D2",
-            MEDIAN * expected.receiver_m,
-            f"{1e3 * MEDIAN * expected.receiver_m:.0f} mm, median",
+            expected.receiver_m,
+            f"{1e3 * expected.receiver_m:.0f} mm, median",
         ),
         Prediction(
             "target_error_m",
             "error of the target",
-            MEDIAN * expected.target_m,
-            f"{1e3 * MEDIAN * expected.target_m:.0f} mm, median",
+            expected.target_m,
+            f"{1e3 * expected.target_m:.0f} mm, median",
         ),
         Prediction(
             "offset_sigma_m",

@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 
 from flight.plan.facts import Facts
-from flight.plan.geometry import apparent, depression_rad
+from flight.plan.geometry import Floats, apparent, depression_rad
 from path.observations import Box, Depth, RangeSource
-from path.target.range import Body, Ranged, Sight, by_ground, by_size, together
+from path.target.range import DEPTH_SHARE, Body, Ranged, Sight, by_ground, by_size, together
 
 DEPTH_BIAS_M = 0.003  # docs/errors.md
 # from take-off to the hand-over: so long a height without a rangefinder has drifted
@@ -35,6 +35,39 @@ def range_of(facts: Facts, range_m: float) -> Ranged | None:
     # All are of one target: what they say is as far away as it is, and only their deviations
     # differ.
     return together([Depth(range_m, each.sigma_m, each.source) for each in found])
+
+
+def lasting_m(facts: Facts, range_m: float, target_h: Floats) -> float:
+    """Return the standard deviation of what lasts of the error of D1's range.
+
+    Args:
+        target_h: the target's middle, shape (3,).
+    """
+    by_depth_m = math.hypot(DEPTH_SHARE * range_m, DEPTH_BIAS_M)
+    ranged: Ranged | None = None
+    if facts.size_sigma > 0.0:
+        by_size_m = facts.size_sigma * range_m
+        by_height = _by_own_height(facts, range_m, target_h)
+        found = [Depth(range_m, by_size_m, RangeSource.SIZE)]
+        found += [] if by_height is None else [Depth(range_m, by_height.sigma_m)]
+        ranged = together(found)
+    elif range_m > facts.method.max_depth_m:
+        ranged = range_of(facts, range_m)
+    return by_depth_m if ranged is None else ranged.depth.sigma_m
+
+
+def _by_own_height(facts: Facts, range_m: float, target_h: Floats) -> Depth | None:
+    if facts.height_sigma_m <= 0.0:
+        return None
+    T_b_c = facts.sender.mount.T_b_c
+    x, y, z = T_b_c.inverse().apply(target_h).tolist()
+    gx, gy, gz = T_b_c.R[2].tolist()
+    sight = Sight((x / z, y / z, 1.0), (gx, gy, gz))
+    pixels = facts.method.pixel_sigma_px / facts.sender.camera.fy
+    angle = math.hypot(facts.attitude_sigma_rad, pixels)
+    above_m = range_m * sight.sinking
+    source = RangeSource.GROUND
+    return by_ground(above_m, facts.height_sigma_m, angle, sight, _body(facts), source)
 
 
 def _sight(facts: Facts) -> Sight:

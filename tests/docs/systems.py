@@ -274,7 +274,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("does", choices=("fly", "write"))
     parser.add_argument("names", nargs="*", help="all when left out")
     parser.add_argument("--seeds", type=int, default=5)
-    asked = parser.parse_args(words)
+    asked = parser.parse_intermixed_args(words)
     if asked.does == "fly":
         commit = subprocess.run(
             ("git", "rev-parse", "--short=8", "HEAD"),
