@@ -28,6 +28,7 @@ HIGHEST_PX = 460.0
 ROUND = 1.3  # of what is shown, with some room around
 LEAST_M = 4.0
 MOST_MOMENTS = 24
+MOST_RECORDS = 6000  # of one topic of a drone: of hours, every so-manieth
 MOST_PLACES = 500  # of one way
 STEPS_M = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 STEP_PX = 48.0
@@ -83,7 +84,7 @@ def played(logs: Mapping[str, Records]) -> Played:
         if drone.phase != before:
             now = state.now(0.0, record.utc_ns)
             moments.append(Moment(f"{drone.short} {drone.phase} {now['since_s']:.0f} s", now))
-        if drone.trail and drone.trail_ns == record.utc_ns:
+        if record.topic == "/state" and drone.trail and drone.trail_ns == record.utc_ns:
             ways.setdefault(name, []).append(drone.trail[-1])
         if drone.target is not None and record.utc_ns - target_ns >= TRAIL_NS:
             target_ns = record.utc_ns
@@ -95,7 +96,12 @@ def played(logs: Mapping[str, Records]) -> Played:
 
 
 def _in_order(logs: Mapping[str, Records]) -> list[tuple[str, LogRecord]]:
-    every = [(name, each) for name, own in logs.items() for t in TOPICS for each in own.get(t, ())]
+    every: list[tuple[str, LogRecord]] = []
+    for name, own in logs.items():
+        for topic in TOPICS:
+            records = own.get(topic, ())
+            thinned = records[:: math.ceil(len(records) / MOST_RECORDS) or 1]
+            every += ((name, each) for each in thinned)
     return sorted(every, key=lambda each: each[1].utc_ns)
 
 

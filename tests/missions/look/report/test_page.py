@@ -5,15 +5,17 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from flight.outcome import Outcome
+from missions.look.report.above import played
 from missions.look.report.advice import advice
 from missions.look.report.command import make_report
-from missions.look.report.records import FACTS, PAGE
+from missions.look.report.records import FACTS, PAGE, by_topic
 from tests.missions.look.live import little_flight as flown
 from tests.missions.look.live.browser import CHROMIUM, WHY_NOT, browser
 from tests.missions.look.live.little_flight import little_flight
@@ -119,6 +121,24 @@ def test_an_image_of_a_phase_has_what_was_found_in_its_frame(little_page: str) -
     assert {*corners} == {" ".join(map(str, flown.MARKER_PX))}
     words = re.findall(r"<text[^>]*>(target|marker|D2.{0,8}s box)</text>", little_page)
     assert {"target", "marker"} < {*words}
+
+
+def test_a_flight_of_hours_is_thinned_and_has_all_its_phases(tmp_path: Path) -> None:
+    with little_flight(tmp_path) as flight:
+        flight.begin()
+        flight.moment()
+    records = by_topic(tmp_path / "sender.mcap")
+    [state] = records["/state"]
+    records["/state"] = [
+        replace(state, utc_ns=state.utc_ns + 100_000_000 * k) for k in range(36_000)
+    ]
+    run = played({"sender": records})
+    assert [each.title for each in run.moments] == [
+        "D1 take-off 0 s",
+        "D1 verify 0 s",
+        "the end",
+    ]
+    assert 3000 < len(run.ways["sender"]) <= 6000
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason=WHY_NOT)
