@@ -118,7 +118,7 @@ class _Flight(VirtualDrones):
             truth.scene(
                 self._built.rig,
                 self.monitors.min_separation_m,
-                clock_offsets(self._rig),
+                {role: self.drones[role].offset_ns for role in Role},
                 self.world.config.target,
             )
             self.legs.open_leg(LEG, *Role)
@@ -233,10 +233,3 @@ async def _with_log(program: Awaitable[RoleResult], log: McapLog) -> RoleResult:
 def mission_config(rig: Rig) -> MissionConfig:
     """Return the mission, with the limits that the monitors hold it to."""
     return decode_table(rig.mission, MissionConfig, rig.where("[mission]"))
-
-
-def clock_offsets(rig: Rig) -> dict[Role, int]:
-    """Role clock minus world clock in ns, as the rig sets the clocks of its roles apart."""
-    return {
-        role: round(float(rig.role(role).clock.options.get("offset_s", 0.0)) * 1e9) for role in Role
-    }

@@ -506,18 +506,6 @@ class World(Fleet):
         super()._changed()
         self._snapshot = None
 
-    # --- truth ---
-
-    @property
-    def separation_m(self) -> float:
-        """True distance between the two bodies."""
-        sender, receiver = self._states[:, :3].tolist()
-        return math.dist(sender, receiver)
-
-    @property
-    def both_in_air(self) -> bool:
-        return not (self._states[0, CONTACT] or self._states[1, CONTACT])
-
     def snapshot(self) -> Snapshot:
         """The truth at ``time_s``."""
         if self._snapshot is None:

@@ -36,7 +36,6 @@ from path.protocol.values import HandoffOutcome as Decision
 
 _HEARD_S = 2.0  # a receiver not heard for so long is gone: it says its Status four times a second
 _LAST_INSTANCE = 2**24 - 1
-_ENDS = {Decision.TIMEOUT: Outcome.NO_AGREEMENT}
 
 
 def _instance(machine: ReceiverMachine, entropy: random.Random) -> int:
@@ -224,7 +223,7 @@ class SenderHandover(MachineRun[SenderMachine]):
             if decision is Decision.TIMEOUT:
                 raise self._not_agreed(decision.value)
             if decision is not Decision.TAKEN_BACK:
-                raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
+                raise MissionEnd(Outcome.PEER_ABORTED, decision.value)
             self.verify_again()
             verify_again()
 
@@ -340,8 +339,10 @@ class ReceiverHandover(MachineRun[ReceiverMachine]):
                         Outcome.ORPHANED,
                         f"the lease ended without the sender's word: {settled.value}",
                     )
+            elif decision is Decision.TIMEOUT:
+                raise MissionEnd(Outcome.NO_AGREEMENT, decision.value)
             elif decision is not Decision.SUPERSEDED:
-                raise MissionEnd(_ENDS.get(decision, Outcome.PEER_ABORTED), decision.value)
+                raise MissionEnd(Outcome.PEER_ABORTED, decision.value)
         raise MissionEnd(Outcome.NO_AGREEMENT, f"no hand-over within {timeout_s:.0f} s")
 
     def end(self, end: MissionEnd | None) -> None:

@@ -57,7 +57,9 @@ class Carrier:
         self.session = session
         self.ended: Ended | None = None
         self.settled: Settled | None = None
-        self.refused: Refusal | None = None  # why the newest event changed nothing, if it did not
+        self.refused: Refusal | None = (
+            None  # the newest refusal; what was done since does not end it
+        )
 
     def carry_out(self, action: Action) -> None:
         """A record to be written down has been."""

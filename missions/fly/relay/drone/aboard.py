@@ -185,15 +185,16 @@ class Aboard:
 
     # --- what a team's drones do otherwise ---
 
-    entry_m = 0.0
+    entry_m = 0.0  # behind the other one, where it goes down to it
     turning_back = False  # to find the target again, instead of coming home
 
     async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
-        """The targets of a relay are near: the rendezvous, or the way to the designated place,
-        begins at home.
+        """Fly from above its home to a place that may move, and down to it. The targets of a relay
+        are near: the rendezvous, or the way to the designated place, begins at home.
         """
 
     def designated(self) -> Vec3 | None:
+        """Return the place at which the target is pointed; None: the mission's."""
         return None
 
     def _tell_place(self, holder: Holder) -> None:
@@ -222,7 +223,9 @@ class Aboard:
         return replace(wanted, velocity_n_mps=velocity)
 
     async def come_home(self, session: RoleSession, end: MissionEnd | None, aside: Anchor) -> bool:
-        """Out of the others' way, up, home, and down; where that cannot be flown, down."""
+        """Fly out of the others' way, up, home, and down; where that cannot be flown, down. Returns
+        whether the script landed the vehicle.
+        """
         *way, above = way_home(aside, self.above_home(self._relay.return_height_m))
         if may_manoeuvre(session, end):
             session.enter(Phase.DEPART, "on its way home")

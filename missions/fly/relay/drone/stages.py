@@ -9,8 +9,7 @@ where they are.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from drivers.interfaces import LinkCounters, Received, RecordStore, VehicleState, VelocitySetpoint
 from drivers.operator.interfaces import PlaceTold
@@ -25,38 +24,8 @@ from missions.fly.leg.steps import check_own, hear_peer, take_off
 from missions.fly.relay.ground import Leg
 from path.messages import Message
 
-
-class Conduct(Protocol):
-    """Settings of a drone in either role of a relay. ``entry_m``: how far behind the other one it
-    goes down.
-    """
-
-    @property
-    def entry_m(self) -> float: ...
-
-    async def watch_battery(self, holder: Holder, *, ask: bool) -> None:
-        """Watch the battery for ever. Raises MissionEnd(NO_RELIEF) when it is time to go home."""
-        ...
-
-    def clear_of_the_failed(
-        self, state: VehicleState, wanted: VelocitySetpoint
-    ) -> VelocitySetpoint:
-        """The setpoint, led away from a relief that failed nearby."""
-        ...
-
-    async def go_out(self, session: RoleSession, place: Callable[[], Vec3]) -> None:
-        """From above its home to a place that may move, and down to it."""
-        ...
-
-    def designated(self) -> Vec3 | None:
-        """The place at which the target is pointed; None: the mission's."""
-        ...
-
-    def come_home(
-        self, session: RoleSession, end: MissionEnd | None, aside: Anchor
-    ) -> Awaitable[bool]:
-        """True when the script landed the vehicle."""
-        ...
+if TYPE_CHECKING:
+    from missions.fly.relay.drone.aboard import Aboard  # which makes these stages
 
 
 class Nobody:
@@ -81,11 +50,11 @@ class Holder(Sender):
     """The responsible drone: alone with the target, or handing it over."""
 
     def __init__(
-        self, session: RoleSession, store: RecordStore, conduct: Conduct, track: TargetTrack | None
+        self, session: RoleSession, store: RecordStore, aboard: Aboard, track: TargetTrack | None
     ) -> None:
         super().__init__(session, store)
         self._track = track
-        self._conduct = conduct
+        self._aboard = aboard
 
     @property
     def track(self) -> TargetTrack | None:
@@ -112,7 +81,7 @@ class Holder(Sender):
     async def find_again(self) -> None:
         """Fly from wherever it is until the target is tracked."""
         session = self._session
-        await self._conduct.go_out(
+        await self._aboard.go_out(
             session, lambda: self._view_of(*self._place_to_look_at(session.now_ns()))
         )
         await self.acquire()
@@ -123,14 +92,14 @@ class Holder(Sender):
     async def keep(self, called: asyncio.Event) -> None:
         """Follow the target alone, for as long as no relief is on its way."""
         self._go_on("responsible, alone")
-        self._session.spawn(self._conduct.watch_battery(self, ask=True))
+        self._session.spawn(self._aboard.watch_battery(self, ask=True))
         await called.wait()
 
     async def pass_on(self, leg: Leg) -> None:
         """The whole hand-over to a relief that is called."""
         session = self._session
         self._go_on(f"{leg.receiver} is called")
-        session.spawn(self._conduct.watch_battery(self, ask=False))
+        session.spawn(self._aboard.watch_battery(self, ask=False))
         await hear_peer(session)
         await self.hand_over()
 
@@ -140,11 +109,11 @@ class Holder(Sender):
         await self._handover.finish()
 
     def _place_to_look_at(self, now_ns: int) -> tuple[Vec3, float]:
-        place = self._conduct.designated()
+        place = self._aboard.designated()
         return super()._place_to_look_at(now_ns) if place is None else (place, 1.0)
 
     def _pointed_at(self) -> PlaceTold | None:
-        place = self._conduct.designated()  # by somebody who goes on pointing at it
+        place = self._aboard.designated()  # by somebody who goes on pointing at it
         if place is None:
             return None
         north, east, down = subtract(place, self._session.off_n_m)
@@ -159,18 +128,18 @@ class Holder(Sender):
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
         wanted = super()._follow_target(state)
-        return self._conduct.clear_of_the_failed(state, wanted)
+        return self._aboard.clear_of_the_failed(state, wanted)
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        return await self._conduct.come_home(self._session, end, way_out)
+        return await self._aboard.come_home(self._session, end, way_out)
 
 
 class Relief(Receiver):
     """The drone that is called: the receiver of a handoff, which does not land after it."""
 
-    def __init__(self, session: RoleSession, store: RecordStore, conduct: Conduct) -> None:
+    def __init__(self, session: RoleSession, store: RecordStore, aboard: Aboard) -> None:
         super().__init__(session, store)
-        self._conduct = conduct
+        self._aboard = aboard
 
     @property
     def track(self) -> TargetTrack | None:
@@ -186,13 +155,13 @@ class Relief(Receiver):
 
     async def _rise(self) -> None:
         await super()._rise()
-        await self._conduct.go_out(self._session, self._entry)
+        await self._aboard.go_out(self._session, self._entry)
 
     def _entry(self) -> Vec3:
         """Behind the other drone, at the height from which the rendezvous begins."""
         peer = self._peer()
         north, east, _ = add(
-            peer.position_n_m, from_heading((-self._conduct.entry_m, 0.0, 0.0), peer.yaw_rad)
+            peer.position_n_m, from_heading((-self._aboard.entry_m, 0.0, 0.0), peer.yaw_rad)
         )
         return north, east, -self._config.receiver_take_off_height_m
 
@@ -202,7 +171,7 @@ class Relief(Receiver):
         await self._handover.finish()
 
     async def _come_down(self, end: MissionEnd | None, way_out: Anchor) -> bool:
-        return await self._conduct.come_home(self._session, end, way_out)
+        return await self._aboard.come_home(self._session, end, way_out)
 
 
 def _ignore(_: object) -> None:

@@ -292,8 +292,8 @@ def test_the_world_is_where_the_simulators_say(rig: Rig, tmp_path: Path) -> None
             vehicle.epoch_s = now_s
         world = FollowedWorld(config, 0, vehicles)
         world.advance(0.01)
-        assert world.both_in_air
-        assert world.separation_m == pytest.approx(3.0, abs=0.02)
+        assert world.airborne == tuple(Role)
+        assert world.closest(0.0).closest_m == pytest.approx(3.0, abs=0.02)
         assert world.drone(Role.SENDER).true_position_n_m == pytest.approx(
             (1.0, 0.0, -2.1), abs=0.02
         )
