@@ -243,7 +243,7 @@ class Pair:
             if entry[1] == "/responsibility"
         ]
         changes.sort(key=lambda change: change[0])
-        claims = Claims[str]()
+        claims = Claims()
         for at_s, role, record in changes:
             claims.note(role, record)
             assert len(claims.holders(at_s)) <= 1, f"two responsible at {at_s} s: {changes}"
