@@ -79,6 +79,12 @@ class Derived:
     limit: str = ""
 
 
+COMMON_SHARE = 0.04
+COMMON_MOST_SHARE = 0.05
+"""Of D1's range: what a pose by common views errs per axis, and the most that it may be said to: as
+it was in a drawn flight (docs/common-view.md)."""
+
+
 def derive(facts: Facts, named: Named) -> tuple[Derived, ...]:
     """Derive all that can be, in the order in which it is used.
 
@@ -102,6 +108,11 @@ def derive_rest(facts: Facts, named: Named, placed: Layout) -> tuple[Derived, ..
     that says everything else itself.
     """
     found = _Found(named)
+    if facts.method.common_view:
+        usual_m = facts.method.evidence.offset_sigma_m
+        offset_m = math.hypot(usual_m, COMMON_SHARE * placed.range_m)
+        found.add("method.evidence.offset_sigma_m", offset_m, "m", "with a pose by common views")
+        _common_view(placed, found)
     _blocks(facts, placed, found)
     _rates(facts, found)
     return tuple(found.values)
@@ -345,11 +356,20 @@ def _method(facts: Facts, found: _Found) -> None:
     if not isinstance(placed.viewpoint, Viewpoint):
         return
     offset_m = predict(facts, placed).offset_sigma_m
+    if facts.method.common_view:
+        offset_m = math.hypot(offset_m, COMMON_SHARE * placed.range_m)
+        _common_view(placed, found)
     found.add("method.evidence.offset_sigma_m", offset_m, "m", "all errors that last, there")
     found.add(
         "method.evidence.apart_m", max(15.0 * offset_m, 1.25 * span_m), "m", "a track's reach"
     )
     _blocks(facts, placed, found)
+
+
+def _common_view(placed: Layout, found: _Found) -> None:
+    """Derive how uncertain a pose may be, so that those by common views count."""
+    most_m = COMMON_MOST_SHARE * placed.range_m
+    found.add("method.evidence.max_pose_sigma_m", most_m, "m", "a pose by common views")
 
 
 def _blocks(facts: Facts, placed: Layout, found: _Found) -> None:

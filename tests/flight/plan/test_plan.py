@@ -448,3 +448,30 @@ def test_a_usual_error_is_the_median_of_its_length(
     sigmas: tuple[float, ...], median: float
 ) -> None:
     assert usual_m(tuple(s**2 for s in sigmas)) == pytest.approx(median, rel=0.03)
+
+
+def test_common_views_are_allowed_what_they_err_and_told_what_they_take_of_the_link(
+    rig_of: RigOf,
+) -> None:
+    usual = rig_of(CAR)
+    common = rig_of(f"{CAR}\n[method]\ncommon_view = true\n", "common")
+    assert "method.evidence.max_pose_sigma_m" not in values(usual)
+    range_m = of(common).range_m
+    pose_m = values(common)["method.evidence.max_pose_sigma_m"]
+    assert pose_m == pytest.approx(0.05 * range_m, rel=0.05)
+    offset = "method.evidence.offset_sigma_m"
+    wider_m = math.sqrt(values(common)[offset] ** 2 - values(usual)[offset] ** 2)
+    assert wider_m == pytest.approx(0.04 * range_m, rel=0.05)
+    taken = "common_view_bytes_per_s"
+    assert taken not in {each.key for each in predictions(of(usual))}
+    (rate,) = [each.value for each in predictions(of(common)) if each.key == taken]
+    assert 10_000 < rate <= 12_000
+
+
+def test_a_rig_without_a_target_is_allowed_them_too(tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text('name = "own"\nlike = "sim"\nlevel = "sim"\n[method]\ncommon_view = true\n')
+    evidence = rig_library.load_unchecked(str(file)).method.evidence
+    usual = MethodConfig().evidence
+    assert evidence.max_pose_sigma_m > usual.max_pose_sigma_m
+    assert evidence.offset_sigma_m > usual.offset_sigma_m
