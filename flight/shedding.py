@@ -8,7 +8,6 @@ reason: a slow core, a share of one, or neighbours. Pure: what is due when is pa
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 from path.values import frozen
@@ -26,12 +25,6 @@ CALM = 0.3
 CALM_S = 10.0
 LONGEST_S = 160.0
 _SEARCHES = 4  # times as rarely the whole image is searched
-# times as long as one look at the whole image three take: 17 ms for 5 at 640x480, 35 for 5 at
-# 1280x720
-LOOKS = 7.0
-HOLD_S = 0.1  # that setpoints wait for a search, at most; 0.2 s are allowed between two
-# in a row, before three are taken: a share of a core comes in pieces, and one look may fit into one
-QUICK_LOOKS = 8
 
 
 @frozen
@@ -54,13 +47,6 @@ class Shedding:
         self._interval_ns = 0
         self._latency_ns = 1 << 62
         self._newest: tuple[int, int] | None = None
-        self._quick_due: float = 0  # looks at the whole image, before three of them are one search
-
-    def begin(self) -> None:
-        """Take that the program runs in real time, and what a search takes is not known: it begins
-        with one look.
-        """
-        self._quick_due = QUICK_LOOKS
 
     def beat(self, late_s: float) -> Shed | None:
         """Take one beat, ``BEAT_S`` after the last one and so late; returns what changes with
@@ -94,23 +80,6 @@ class Shedding:
     def search_every(self) -> int:
         """Return how many times as rarely the whole image is searched for what was lost."""
         return 1 if self.gone < 2 else _SEARCHES
-
-    @property
-    def thorough(self) -> bool:
-        """Return whether a search of the whole image takes three looks, for which setpoints wait,
-        and not one.
-        """
-        return self.gone < 2 and self._quick_due <= 0
-
-    def searched(self, took_s: float) -> None:
-        """Take how long a search took that was as ``thorough`` says. Three looks that took too
-        long are the last.
-        """
-        if self.thorough:
-            if took_s > HOLD_S:
-                self._quick_due = math.inf
-        elif math.isfinite(self._quick_due):
-            self._quick_due = self._quick_due - 1 if LOOKS * took_s <= HOLD_S else QUICK_LOOKS
 
     @property
     def frames_every(self) -> int:

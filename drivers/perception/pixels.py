@@ -263,7 +263,6 @@ class PixelView:
             self._layout,
             self._model,
             refine=self._corners,
-            thorough=False,
             expected=expected,
             memory=self._memory,
         )

@@ -79,7 +79,6 @@ class MarkerView:
         self._layout = layout
         self._camera = camera
         self._lens = lens_of(camera)
-        self._everywhere = Region(0.0, 0.0, camera.width, camera.height)
         self._R_b_v = mount.T_b_v.R
         self._corners_v = np.concatenate([marker.corners_v for marker in layout.markers])
         self._room_m = _ROOM_M + _TURN_RAD * float(np.linalg.norm(self._corners_v, axis=1).max())
@@ -103,7 +102,6 @@ class MarkerView:
         self._search_period_ns = round(1e9 / mission.search_hz)
         # times as rarely as the mission says, on a computer that does not keep up
         self.search_every = 1
-        self.thorough = True  # three looks in a search, for which setpoints wait, or one
         self.target_n_m: Vec3 | None = None
         # the marker's attitude at the newest look, as its drone reports it
         self.R_n_v: Matrix | None = None
@@ -184,8 +182,6 @@ class MarkerView:
             if view.stamp_ns - self._searched_ns < self.search_every * self._search_period_ns:
                 return Missed(MissReason.NO_MARKER)
             self._searched_ns = view.stamp_ns
-            if not self.thorough:  # as in a region
-                region = self._everywhere
         detections = view.markers(region, expected)
         pose = estimate_pose(
             detections, self._layout, self._camera, gravity_v, gravity_c, self._settings

@@ -19,7 +19,6 @@ class MarkerNoise(NamedTuple):
     """
 
     half_side_px: float
-    half_side_per_scale_px: float
     side_slope_per_px: float
     lapse_rate: float
     corner_sigma_px2: float
@@ -31,13 +30,12 @@ class MarkerNoise(NamedTuple):
     max_incidence_cos: float
 
 
-LARGEST_SCALE = 4.0  # of the finder (path.marker.detect)
 PLATE_GAP_M = 0.004  # what is so little in front of a marker is its own plate
 
 
 @kernel
 def marker(
-    boxes, extents, per_car, frame, lens, R, t, corners, region, scale, noise, key, slow_key, found
+    boxes, extents, per_car, frame, lens, R, t, corners, region, noise, key, slow_key, found
 ):
     """The corners of one marker as the finder gives them.
 
@@ -45,7 +43,7 @@ def marker(
         R, t: the sender in the world; corners: (4, 3) of the marker in the sender's body frame, in
             the order of the print.
         slow_key: changes only now and then: for what goes wrong for a while.
-        region: x0 y0 x1 y1, what is searched; scale: how much the finder enlarges it.
+        region: x0 y0 x1 y1, what is searched.
         found: (9,) filled: u v of each corner, then the standard deviation that is claimed for each
             coordinate (px).
 
@@ -64,8 +62,7 @@ def marker(
         a = pixels[k]
         b = pixels[(k + 1) % 4]
         side = min(side, math.hypot(b[0] - a[0], b[1] - a[1]))
-    half = noise.half_side_px + noise.half_side_per_scale_px * (LARGEST_SCALE - scale)
-    chance = 1.0 / (1.0 + math.exp(-noise.side_slope_per_px * (side - half)))
+    chance = 1.0 / (1.0 + math.exp(-noise.side_slope_per_px * (side - noise.half_side_px)))
     lapse = uniform(mix(slow_key, 202)) < noise.lapse_rate
     if lapse or not _inside(pixels, region, lens, side / 12.0) or uniform(mix(key, 200)) > chance:
         return False

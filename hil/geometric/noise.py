@@ -80,9 +80,8 @@ that touch for one, and now and then a person for one without a head.
 By tests/hil/geometric/detector_films.py."""
 
 MARKER_NOISE = MarkerNoise(
-    half_side_px=10.8,
-    half_side_per_scale_px=0.38,
-    side_slope_per_px=1.27,
+    half_side_px=10.2,
+    side_slope_per_px=2.1,
     lapse_rate=0.0014,
     corner_sigma_px2=0.80,
     corner_floor_px=0.0,
@@ -115,13 +114,12 @@ class ObservationNoise:
             off by ``occluded_sigma_px`` and is odd at ``occluded_odd_rate``. ``border_score``:
             factor when the image cuts it.
         marker: A marker is found with a probability that is 1/2 where its shortest side has
-            ``half_side_px`` px when it is searched at four times the size,
-            ``half_side_per_scale_px`` more for each time less, and whose logit grows by
-            ``side_slope_per_px``; a share ``lapse_rate`` is missed at any size. Its corners are off
-            by ``corner_sigma_px2`` / side and ``corner_floor_px`` (root of the sum of squares),
-            independently, in one frame more than in another (log-normal, standard deviation
-            ``corner_spread`` of the logarithm), and claim ``claimed_factor`` times that; at
-            ``coarse_rate`` the photometric fit fails and they are off by ``coarse_sigma_px``.
+            ``half_side_px`` px, and whose logit grows by ``side_slope_per_px``; a share
+            ``lapse_rate`` is missed at any size. Its corners are off by ``corner_sigma_px2`` / side
+            and ``corner_floor_px`` (root of the sum of squares), independently, in one frame more
+            than in another (log-normal, standard deviation ``corner_spread`` of the logarithm),
+            and claim ``claimed_factor`` times that; at ``coarse_rate`` the photometric fit fails
+            and they are off by ``coarse_sigma_px``.
         depth_sigma_at_1m_m: noise of one pixel of the depth camera at 1 m; it grows with the square
             of the depth.
         depth_common_sigma_at_1m_m: the part that is left of it over a box, as neighbours err

@@ -28,7 +28,7 @@ from hil.camera.capture import (
     true_camera,
 )
 from hil.geometric.kernels import fold, fold_both
-from hil.geometric.markers import LARGEST_SCALE, marker
+from hil.geometric.markers import marker
 from hil.geometric.noise import ObservationNoise, noise_in
 from hil.geometric.scene import Array, CameraSetup, Placed, outlines, place
 from hil.geometric.spells import Spells
@@ -41,7 +41,6 @@ from path.bounds import Bounds
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
-from path.marker.detect import DETECTION_PIXELS
 from path.marker.layout import single_marker
 from path.messages import Role
 from path.observations import Box, Depth, Detection, MarkerDetection, Region
@@ -242,7 +241,6 @@ class GeometricView:
         setup = sensor.setup
         placed = self._placed
         area = _row(region)
-        scale = _search_scale(region, setup.camera)
         key = self._key(MARKERS)
         slow_key = self._key(SLOW_MARKERS, SLOW_FRAMES)
         truth = sender.T_w_b
@@ -259,7 +257,6 @@ class GeometricView:
                 truth.t,
                 corners_b,
                 area,
-                scale,
                 sensor.noise.marker,
                 fold(key, marker_id),
                 fold(slow_key, marker_id),
@@ -322,13 +319,3 @@ def warm_up() -> None:
 def _row(region: Region | None) -> Array:
     region = region or EVERYWHERE
     return np.array((region.x0, region.y0, region.x1, region.y1))
-
-
-def _search_scale(region: Region | None, camera: CameraModel) -> float:
-    """Return by how much ``path.marker.detect`` enlarges what it searches."""
-    area = (region or EVERYWHERE).clipped(camera.width, camera.height)
-    pixels = 1.0 if area is None else (area.x1 - area.x0) * (area.y1 - area.y0)
-    return max(
-        1.0,
-        min(LARGEST_SCALE, math.floor(2.0 * math.sqrt(DETECTION_PIXELS / max(pixels, 1.0))) / 2.0),
-    )

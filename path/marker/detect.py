@@ -1,7 +1,7 @@
 """Find the markers of a layout in an image, with corners and their covariance.
 
-OpenCV's detector decodes; it needs cells of several pixels, so a small marker is looked for in an
-enlarged region. Its corners are good to about half a pixel: they only start the refinement.
+``path.marker.search`` says where they may be, good to about half a pixel. Whatever is not the print
+to the cell is left out here, and the rest refined.
 """
 
 from __future__ import annotations
@@ -20,39 +20,28 @@ from path.marker.kernels import Array
 from path.marker.layout import MarkerLayout
 from path.marker.photometric.corners import PhotometricFit, fit
 from path.marker.photometric.known import Known, Memory
-from path.marker.photometric.texture import cells, dictionary_of
+from path.marker.photometric.texture import cells
 from path.marker.printed import MIN_BORDER, Look, aligned, look
+from path.marker.search.find import search
 from path.marker.track import recognise
 from path.observations import MarkerDetection, Region
 
 Refine = Literal["photometric", "subpix"]
 
-MAX_SCALE = 4.0
-DETECTION_PIXELS = 1.3e6  # an image is enlarged up to about this many pixels
-# a small region that shows nothing is tried once more, larger and fainter
-RETRY_SCALE = 6.0
+# a small region that shows nothing is searched once more, enlarged
+RETRY_SCALE = 2.0
 RETRY_PIXELS = 4.0e4
-# grey levels below the neighbourhood's mean that are black
-THRESHOLD = 7.0
-RETRY_THRESHOLD = 3.0
-# of a whole image at its own size, and enlarged for small markers
-THOROUGH_WINDOWS = (3, 23)
-THOROUGH_SMALL = (5, 5)
-THOROUGH_SCALE = 2.0
-THOROUGH_PIXELS = 4.0e6
-# share of the bits corrected that the dictionary could correct
-FULL_CORRECTION = 1.0
-THOROUGH_CORRECTION = 0.6
-LARGE_WINDOW_SCALE = 2.5  # from this scale on the threshold looks at a wider neighbourhood
 MIN_EXPLAINED = 0.85  # of the image's variance, for the fit to be trusted
-MIN_CONTRAST = 8.0  # grey levels
-# correlation with the printed pattern below which a decoded quadrilateral is no marker
+# grey levels, from black to white: what a camera can show, and a little beyond for what it cuts off
+MIN_CONTRAST = 8.0
+MAX_CONTRAST = 300.0
+# correlation with the printed pattern below which a quadrilateral is no marker
 MIN_LIKENESS = 0.5
 SURE_LIKENESS = 0.88  # from which on its corners are those of the print
-MOST_WRONG = 0.1  # share of the print's cells that may seem so
+CELLS_OF_ONE = 9  # bits of the code for each cell of the print that may seem wrong
 MIN_BARE_BORDER = 0.7  # light around the frame below which there is hardly any border
 BITS_OF_ONE = 16  # of so many bits of the code one may be wrong: more is another code
-MOST_OFF = 0.5  # of a side, that a decoded corner may be from where the print has it
+MOST_OFF = 0.5  # of a side, that a corner that was found may be from where the print has it
 SUBPIX_MOST_PX = 1.5  # that a corner is from where the print has it, as far as that tells
 # per axis; common to all corners, towards the centre or away from it
 SUBPIX_SIGMA_PX = 0.35
@@ -66,9 +55,6 @@ def detect_markers(
     camera: CameraModel,
     *,
     refine: Refine = "photometric",
-    scale: float | None = None,
-    foreign: bool = False,
-    thorough: bool | None = None,
     expected: Pose | None = None,
     memory: Memory | None = None,
 ) -> tuple[MarkerDetection, ...]:
@@ -77,16 +63,11 @@ def detect_markers(
     Args:
         image: uint8, (height, width, 3) BGR or (height, width) grey, distorted as the lens gives
             it.
-        region: where to look; None for the whole image, which costs tens of times as much.
+        region: where to look; None for the whole image.
         refine: how corners are refined. "photometric" falls back to "subpix", with its larger
             covariance, where the image does not look like the print.
-        scale: enlargement for detection; by default up to 4, less for large regions.
-        foreign: also give markers of the dictionary that the layout does not have (unrefined).
-        thorough: look three times, for what is small, dim, steep or close to others too, in about
-            six times the time; by default in a whole image, and not in a region.
         expected: ``T_c_v`` good to about a cell of the print. Markers that are there are recognised
-            without decoding, in a tenth of the time; when one is not, everything is decoded. Only
-            for "photometric".
+            without a search; when one is not, the region is searched. Only for "photometric".
         memory: what earlier frames told of each marker as this camera sees it, bettered by this
             one; with it a fit in a frame takes a third of the time. Not for two cameras.
 
@@ -106,15 +87,10 @@ def detect_markers(
     grey = np.ascontiguousarray(
         cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY) if cut.ndim == 3 else cut, dtype=np.uint8
     )
-    used = scale or _scale_for(grey.size)
-    quads = decode(grey, layout.dictionary, used, THRESHOLD)
-    if not quads and scale is None and grey.size <= RETRY_PIXELS:
-        quads = decode(grey, layout.dictionary, RETRY_SCALE, RETRY_THRESHOLD)
-    if scale is None and (thorough or (thorough is None and region is None)):
-        quads = _united(quads, _thoroughly(grey, layout.dictionary))
+    scales = (1.0, RETRY_SCALE) if grey.size <= RETRY_PIXELS else (1.0,)
     found: list[MarkerDetection] = []
-    for marker_id, quad in quads:
-        if layout.marker(marker_id) is not None:
+    for scale in scales:
+        for marker_id, quad in _searched(grey, layout, scale):
             pattern = quiet(layout.dictionary, marker_id)
             known = None if memory is None or expected is None else memory.get(marker_id)
             known = known or Known.nothing(len(pattern) - 2)
@@ -123,8 +99,8 @@ def detect_markers(
                 if memory is not None:
                     memory[marker_id] = known
                 found.append(MarkerDetection(marker_id, *refined))
-        elif foreign:
-            found.append(MarkerDetection(marker_id, quad + np.array([u0, v0]), np.eye(8)))
+        if found:
+            break
     return tuple(sorted(found, key=lambda detection: detection.marker_id))
 
 
@@ -161,75 +137,15 @@ def _tracked(
     return tuple(sorted(found, key=lambda detection: detection.marker_id))
 
 
-def _scale_for(pixels: int) -> float:
-    """Enlargement in half steps: the largest that keeps the work bounded, at most 4."""
-    wanted = math.sqrt(DETECTION_PIXELS / max(pixels, 1))
-    return max(1.0, min(MAX_SCALE, math.floor(2.0 * wanted) / 2.0))
-
-
-@lru_cache(maxsize=8)
-def _detector(
-    dictionary: str, windows: tuple[int, int], offset: float, correction: float
-) -> cv2.aruco.ArucoDetector:
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = windows
-    parameters.adaptiveThreshConstant = offset
-    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
-    parameters.perspectiveRemovePixelPerCell = 8
-    parameters.errorCorrectionRate = correction
-    return cv2.aruco.ArucoDetector(dictionary_of(dictionary), parameters)
-
-
-def _thoroughly(grey: NDArray[np.uint8], dictionary: str) -> list[tuple[int, Array]]:
-    """As ``decode``, by what finds most on photographs of many tags: every window, and small ones
-    enlarged.
-    """
-    whole = decode(grey, dictionary, 1.0, RETRY_THRESHOLD, THOROUGH_WINDOWS)
-    scale = min(
-        THOROUGH_SCALE, math.floor(2.0 * math.sqrt(THOROUGH_PIXELS / max(grey.size, 1))) / 2.0
-    )
-    return _united(whole, decode(grey, dictionary, max(scale, 1.0), THRESHOLD, THOROUGH_SMALL))
-
-
-def decode(
-    grey: NDArray[np.uint8],
-    dictionary: str,
-    scale: float,
-    offset: float,
-    windows: tuple[int, int] | None = None,
+def _searched(
+    grey: NDArray[np.uint8], layout: MarkerLayout, scale: float
 ) -> list[tuple[int, Array]]:
-    """Ids and corners (4, 2) in pixels of ``grey``; one physical marker once."""
-    enlarged = (
-        grey
-        if scale == 1.0
-        else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    )
-    window = 23 if scale >= LARGE_WINDOW_SCALE else 13
-    correction = FULL_CORRECTION if windows is None else THOROUGH_CORRECTION
-    corners, ids, _ = _detector(
-        dictionary, windows or (window, window), offset, correction
-    ).detectMarkers(enlarged)
-    quads: list[tuple[int, Array]] = []
-    for row, corner in enumerate(corners):
-        marker_id = int(np.ravel(ids)[row])  # shape (n, 1) in OpenCV 4, (n,) in 5
-        quads.append((marker_id, (corner.reshape(4, 2).astype(np.float64) + 0.5) / scale - 0.5))
-    return _united([], quads)
-
-
-def _united(
-    quads: list[tuple[int, Array]], more: list[tuple[int, Array]]
-) -> list[tuple[int, Array]]:
-    """Both lists, one physical marker once: as it was found first."""
-    united = list(quads)
-    for marker_id, quad in more:
-        centre = quad.mean(axis=0)
-        side = _side(quad)
-        if not any(
-            other == marker_id and np.hypot(*(q.mean(axis=0) - centre)) < 0.5 * side
-            for other, q in united
-        ):
-            united.append((marker_id, quad))
-    return united
+    """As ``search``, in the image so many times enlarged."""
+    if scale == 1.0:
+        return search(grey, layout)
+    large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    found = search(np.ascontiguousarray(large, np.uint8), layout)
+    return [(marker_id, (quad + 0.5) / scale - 0.5) for marker_id, quad in found]
 
 
 def _side(quad: Array) -> float:
@@ -250,7 +166,7 @@ def refine_corners(
 
     Args:
         grey: uint8, C-contiguous; its pixel (0, 0) is the camera's pixel ``offset``.
-        quad: corners as decoded, (4, 2) in pixels of ``grey``. Where they do not show the whole
+        quad: corners as found, (4, 2) in pixels of ``grey``. Where they do not show the whole
             print they are first brought to where the inside of the print has them: something may
             cover one.
         pattern: cells of the print with a border of white ones, 0 black and 1 white.
@@ -300,8 +216,11 @@ def _on_print(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> tuple[Arr
     start = aligned(grey, quad, pattern)
     if start is None or float(np.abs(start - quad).max()) > MOST_OFF * _side(quad):
         return None
-    seen = look(grey, start, pattern)
-    return (start, seen) if _is_code(seen, pattern) else None
+    inside = look(grey, start, pattern)
+    # its edges were there already: another code is not this one for being bent until it is like it
+    if inside.border < MIN_BORDER <= seen.border:
+        return None
+    return (start, inside) if _is_code(inside, pattern) else None
 
 
 def _is_code(seen: Look, pattern: Array) -> bool:
@@ -311,7 +230,8 @@ def _is_code(seen: Look, pattern: Array) -> bool:
     if seen.border < MIN_BARE_BORDER and seen.wrong > 0.0:
         return False
     bits = (len(pattern) - 4) ** 2
-    return seen.wrong <= MOST_WRONG and seen.bits <= bits // BITS_OF_ONE
+    cells_wrong = round(seen.wrong * (len(pattern) - 2) ** 2)
+    return cells_wrong <= bits // CELLS_OF_ONE and seen.bits <= bits // BITS_OF_ONE
 
 
 def _is_whole(seen: Look) -> bool:
@@ -329,7 +249,7 @@ def trusted_fit(
     border: bool = True,
     known: Known | None = None,
 ) -> PhotometricFit | None:
-    """The photometric fit from decoded corners, see ``refine_corners``; None where it is not to be
+    """The photometric fit from corners that were found, see ``refine_corners``; None where it is not to be
     trusted.
 
     ``near``: the corners are good to half a pixel. ``border``: there is a white border around the
@@ -340,7 +260,7 @@ def trusted_fit(
     if (
         fitted is None
         or fitted.explained < MIN_EXPLAINED
-        or fitted.contrast < MIN_CONTRAST
+        or not MIN_CONTRAST <= fitted.contrast <= MAX_CONTRAST
         or float(np.abs(fitted.corners_px - start).max()) >= max(2.0, 0.15 * _side(quad))
     ):
         if known is not None:

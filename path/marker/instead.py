@@ -8,14 +8,16 @@ turn, which takes too long for a frame in flight.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from path.marker.detect import THRESHOLD, decode, quiet
+from path.marker.detect import quiet
 from path.marker.kernels import Array
 from path.marker.layout import DICTIONARIES, MarkerLayout
+from path.marker.photometric.texture import dictionary_of
 from path.marker.printed import aligned, look
 
 FAMILIES = ("4X4", "5X5", "6X6", "7X7")
@@ -27,6 +29,9 @@ OTHERS = (
     "DICT_APRILTAG_16h5",
 )
 SCALES = (1.0, 2.0)
+# grey levels below the mean of so many pixels that are black
+THRESHOLD = 7.0
+WINDOW = 13
 # of a print that nobody asked for
 SURE_LIKENESS = 0.8
 SURE_BORDER = 0.8
@@ -101,10 +106,33 @@ def _ids(grey: NDArray[np.uint8], dictionary: str) -> set[int]:
     """The markers of a dictionary that are surely there, whole and with their border."""
     found: set[int] = set()
     for scale in SCALES:
-        for marker_id, quad in decode(grey, dictionary, scale, THRESHOLD):
+        for marker_id, quad in _decoded(grey, dictionary, scale):
             if marker_id not in found and _is_there(grey, quad, quiet(dictionary, marker_id)):
                 found.add(marker_id)
     return found
+
+
+@lru_cache(maxsize=32)
+def _detector(dictionary: str) -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.adaptiveThreshWinSizeMin = WINDOW
+    parameters.adaptiveThreshWinSizeMax = WINDOW
+    parameters.adaptiveThreshConstant = THRESHOLD
+    parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.errorCorrectionRate = 1.0
+    return cv2.aruco.ArucoDetector(dictionary_of(dictionary), parameters)
+
+
+def _decoded(grey: NDArray[np.uint8], dictionary: str, scale: float) -> list[tuple[int, Array]]:
+    """Ids and corners (4, 2) in pixels of ``grey``."""
+    enlarged = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    corners, ids, _ = _detector(dictionary).detectMarkers(enlarged)
+    quads: list[tuple[int, Array]] = []
+    for row, corner in enumerate(corners):
+        marker_id = int(np.ravel(ids)[row])  # shape (n, 1) in OpenCV 4, (n,) in 5
+        quads.append((marker_id, (corner.reshape(4, 2).astype(np.float64) + 0.5) / scale - 0.5))
+    return quads
 
 
 def _is_there(grey: NDArray[np.uint8], quad: Array, pattern: Array) -> bool:

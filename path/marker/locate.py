@@ -85,9 +85,9 @@ def locate_marker(
         layout: the printed markers; ``single_marker(side_m)`` for one whose own frame is ``v``.
         gravity_v, gravity_c: down in ``v`` and in the camera's frame. They tell the two poses of a
             small planar marker apart, and how it is tilted; one without the other says nothing.
-        region: where in the image to look; everywhere when None, which takes tens of times as long.
+        region: where in the image to look; everywhere when None.
         previous: ``T_c_v`` in an image shortly before, instead of a region: there first, then
-            everywhere. Where the marker is still within a cell of that place it is not decoded.
+            everywhere. Where the marker is still within a cell of that place it is not searched for.
         memory: a dictionary, empty at first, that is given with every image of a film: what
             earlier ones told of print and camera, so that a fit takes a third of the time. The
             pose is still measured in this image alone.

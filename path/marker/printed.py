@@ -1,6 +1,6 @@
-"""A decoded quadrilateral held against the print that it should show: cell by cell, border and all.
+"""A quadrilateral held against the print that it should show: cell by cell, border and all.
 
-A decoder looks at the middles of cells, forgives some, and takes its corners from outlines. So a
+A search looks at the middles of cells, forgives some, and takes its corners from outlines. So a
 corner that something covers comes out where the cover ends, a marker on a plate that is as dark as
 its frame gets the plate's outline, and sheets of other markers or the fur of an animal pass for
 one. ``look`` says how much of the print is there, ``aligned`` puts the corners where all of it

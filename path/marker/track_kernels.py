@@ -47,7 +47,7 @@ def seen_at(
         if not (z > 0.0 and x * x + y * y <= (lens[11] * z) * (lens[11] * z)):
             return -1.0, pixels, H
         pixels[k, 0], pixels[k, 1] = project(lens, x, y, z)
-    _from_square(pixels, SAMPLES * MARGIN - 0.5, 1.0 / (SAMPLES * n), H)
+    from_square(pixels, SAMPLES * MARGIN - 0.5, 1.0 / (SAMPLES * n), H)
     # corners follow each other clockwise from the top left: along the top times up looks at the
     # viewer
     ax = points[1, 0] - points[0, 0]
@@ -67,7 +67,7 @@ def seen_at(
 
 
 @inner
-def _from_square(quad: Array, low: float, per_side: float, H: Array) -> None:
+def from_square(quad: Array, low: float, per_side: float, H: Array) -> None:
     """Homography from a square, whose sides begin at ``low`` and are 1/``per_side`` long, to a
     quadrilateral.
     """

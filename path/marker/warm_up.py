@@ -68,9 +68,7 @@ def warm_up_image() -> None:
     # what is asked only where the light is uneven
     shadow = np.where(np.arange(160)[None, :] > 80, 0.7, 1.0)
     for light in (shadow, 1.0):
-        found = detect_markers(
-            np.asarray(image * light, dtype=np.uint8), None, layout, camera, thorough=False
-        )
+        found = detect_markers(np.asarray(image * light, dtype=np.uint8), None, layout, camera)
         if not found:
             raise RuntimeError("a drawn marker was not found: reinstall numba and OpenCV")
     if recognise(image, T_c_v, layout, camera) is None:

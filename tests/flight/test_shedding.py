@@ -10,11 +10,8 @@ from itertools import groupby, pairwise
 from flight.shedding import (
     BEATS,
     CALM_S,
-    HOLD_S,
     IN_ORDER,
     LATE_S,
-    LOOKS,
-    QUICK_LOOKS,
     Shed,
     Shedding,
 )
@@ -96,27 +93,3 @@ def test_a_cycle_that_takes_longer_than_that_is_not_waited_for() -> None:
     beats(shedding, 6.4, 1.0)
     taken = frames_taken(shedding, 33_000_000, 150_000_000, 60)
     assert {b - a for a, b in pairwise(taken)} <= {4, 5}
-
-
-def test_a_search_is_one_look_until_a_row_of_them_was_quick_and_again_once_three_were_not() -> None:
-    shedding = Shedding()
-    assert shedding.thorough  # in virtual time nothing takes any
-    shedding.begin()
-    quick_s, slow_s = 0.99 * HOLD_S / LOOKS, 1.01 * HOLD_S / LOOKS
-    for took_s in [*[quick_s] * (QUICK_LOOKS - 1), slow_s, *[quick_s] * QUICK_LOOKS]:
-        assert not shedding.thorough
-        shedding.searched(took_s)
-    shedding.searched(0.9 * HOLD_S)  # all three
-    assert shedding.thorough
-    shedding.searched(1.1 * HOLD_S)
-    for _ in range(3 * QUICK_LOOKS):
-        assert not shedding.thorough
-        shedding.searched(quick_s)
-
-
-def test_who_gives_up_redetection_searches_with_one_look() -> None:
-    shedding = Shedding()
-    beats(shedding, 2.2, 1.0)
-    assert shedding.thorough
-    beats(shedding, 2.2, 1.0)
-    assert not shedding.thorough

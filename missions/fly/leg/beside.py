@@ -110,8 +110,6 @@ async def keep_up(session: RoleSession) -> None:
     In virtual time nothing is late.
     """
     loop = asyncio.get_running_loop()
-    if session.stages is not None:
-        session.frames.shedding.begin()
     while session.stages is not None:
         due_s = loop.time() + BEAT_S
         await asyncio.sleep(BEAT_S)

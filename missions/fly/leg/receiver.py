@@ -480,18 +480,12 @@ class Receiver:
         R_n_c: Matrix,
         gravity_v: Vec3 | None,
     ) -> MarkerFix | Missed:
-        """The marker, searched for no longer than setpoints can wait."""
-        session = self._session
-        shedding = session.frames.shedding
-        began_ns = session.now_ns()
-        self._marker.search_every = shedding.search_every
-        self._marker.thorough = shedding.thorough
+        """The marker, searched for as often as this computer can."""
+        self._marker.search_every = self._session.frames.shedding.search_every
         gravity_c = gravity_in(R_n_c)
         fix = self._marker.look(view, R_n_c, gravity_v, gravity_c)
         if self._marker.searched(view.stamp_ns):
             self._searched = view
-            took_ns = session.now_ns() - began_ns
-            shedding.searched(took_ns * 1e-9)
         return fix
 
     def _check_size(self, view: View, fix: MarkerFix) -> None:

@@ -146,8 +146,8 @@ class Residuals:
         edges_px: left, top, right, bottom of boxes of cars in full view; ``cars`` of them there
             were.
         scores: of these boxes.
-        sides_px, found, whole: shortest side of each marker in view, whether it was found, and
-            whether it was searched for in the whole image.
+        sides_px, found: shortest side of each marker in view, and whether it was found, in a region
+            and in the whole image.
         corners_px: (u, v) x 4 of those found in a region, ``corner_sides_px`` their sides,
             ``claimed_px`` the standard deviation they claim.
         depths: error over depth squared in 1/m; ``claimed_depths`` the standard deviation claimed,
@@ -159,7 +159,6 @@ class Residuals:
     cars: int = 0
     sides_px: list[float] = field(default_factory=list[float])
     found: list[bool] = field(default_factory=list[bool])
-    whole: list[bool] = field(default_factory=list[bool])
     corners_px: list[Array] = field(default_factory=list[Array])
     corner_sides_px: list[float] = field(default_factory=list[float])
     claimed_px: list[float] = field(default_factory=list[float])
@@ -228,7 +227,6 @@ def _collect_marker(residuals: Residuals, view: View, truth: MarkerDetection) ->
         found = [m for m in view.markers(region) if m.marker_id == truth.marker_id]
         residuals.sides_px.append(side)
         residuals.found.append(bool(found))
-        residuals.whole.append(region is None)
         if found and region is not None:
             residuals.corners_px.append((found[0].corners_px - corners).ravel())
             residuals.corner_sides_px.append(side)
@@ -257,21 +255,16 @@ def measure_noise(residuals: Residuals) -> ObservationNoise:
         score_sigma=float(_spread(scores[~odd])),
         odd_rate=float(odd.mean()),
     )
-    side, found, whole = (
-        np.array(residuals.sides_px),
-        np.array(residuals.found),
-        np.array(residuals.whole),
-    )
+    side = np.array(residuals.sides_px)
+    found = np.array(residuals.found)
     small = side < SURELY_FOUND_PX
-    half, slope = _logistic(side[~whole & small], found[~whole & small])
-    half_whole, _ = _logistic(side[whole & small], found[whole & small])
+    half, slope = _logistic(side[small], found[small])
     sides, claimed = np.array(residuals.corner_sides_px), np.array(residuals.claimed_px)
     rms = np.sqrt(np.mean(np.array(residuals.corners_px) ** 2, axis=1))
     coarse = claimed > 0.25
     scale, floor, extra = _corner_law(sides[~coarse], rms[~coarse])
     marker = default.marker._replace(
         half_side_px=half,
-        half_side_per_scale_px=(half_whole - half) / 2.0,
         side_slope_per_px=slope,
         lapse_rate=float(1.0 - found[~small].mean()),
         corner_sigma_px2=scale,

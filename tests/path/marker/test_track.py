@@ -48,20 +48,22 @@ def off(pose: Pose, rng: np.random.Generator) -> Pose:
 
 
 @pytest.fixture
-def undecoded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing may be decoded."""
+def unsearched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing may be searched for."""
 
     def refuse(*_: object) -> None:
-        raise AssertionError("decoded")
+        raise AssertionError("searched")
 
-    monkeypatch.setattr(detect, "decode", refuse)
+    monkeypatch.setattr(detect, "search", refuse)
 
 
 @pytest.mark.parametrize(
     ("dictionary", "far_m"), [("DICT_4X4_50", 1.2), ("DICT_APRILTAG_36h11", 0.7)]
 )
-@pytest.mark.usefixtures("undecoded")
-def test_corners_are_as_good_as_those_of_a_decoded_marker(dictionary: str, far_m: float):
+@pytest.mark.usefixtures("unsearched")
+def test_corners_are_as_good_as_those_of_a_marker_that_was_searched_for(
+    dictionary: str, far_m: float
+):
     layout = single_marker(dictionary=dictionary)
     rng, errors = np.random.default_rng(6), list[float]()
     for _ in range(25):

@@ -23,6 +23,7 @@ from path.marker.detect import detect_markers
 from path.marker.layout import DICTIONARIES, MarkerLayout, single_marker
 from path.marker.photometric.known import Memory
 from path.marker.pose import MarkerPose, PoseSettings, estimate_pose
+from path.marker.search.find import search
 from path.observations import Region
 
 BOARD_TO_MARKER = np.diag([1.0, -1.0, -1.0])
@@ -42,6 +43,7 @@ class PhotographTimes:
 
     Attributes:
         us: of every look at a marker that was seen in an earlier photograph.
+        search_us: of looking for one marker in each whole photograph.
         opencv_us: of OpenCV's detector on each whole photograph.
         poses: share of the looks that gave a pose.
     """
@@ -49,6 +51,7 @@ class PhotographTimes:
     name: str
     camera: CameraModel
     us: Array
+    search_us: Array
     opencv_us: Array
     poses: float
 
@@ -60,6 +63,7 @@ class PhotographTimes:
             "poses": self.poses,
             "median_ms": float(np.median(self.us)) / 1e3,
             "p99_ms": float(np.percentile(self.us, 99.0)) / 1e3,
+            "search_median_ms": float(np.median(self.search_us)) / 1e3,
             "opencv_median_ms": float(np.median(self.opencv_us)) / 1e3,
         }
 
@@ -80,7 +84,9 @@ def time_photographs(file: Path, photographs: Path | None, seed: int) -> Photogr
     rng = np.random.default_rng([seed, 9])
     detector = cv2.aruco.ArucoDetector(own.dictionary)
     times: list[int] = []
+    searches: list[int] = []
     opencv: list[int] = []
+    wanted = single_marker(own.file.side_m, 0.0, min(own.markers), own.file.dictionary)
     poses = 0
     memory: Memory = {}
     with one_thread():
@@ -88,6 +94,9 @@ def time_photographs(file: Path, photographs: Path | None, seed: int) -> Photogr
             begun = busy_ns()
             detector.detectMarkers(shot.grey)
             opencv.append(busy_ns() - begun)
+            begun = busy_ns()
+            search(shot.grey, wanted)
+            searches.append(busy_ns() - begun)
             for marker_id in seen.starts[view]:
                 T_c_v = _pose(own, seen.boards[view], marker_id)
                 known = marker_id in memory
@@ -100,7 +109,12 @@ def time_photographs(file: Path, photographs: Path | None, seed: int) -> Photogr
             f"{file.name}: images: no marker is seen in two photographs", "name more of them"
         )
     return PhotographTimes(
-        own.name, seen.camera, np.array(times) / 1e3, np.array(opencv) / 1e3, poses / len(times)
+        own.name,
+        seen.camera,
+        np.array(times) / 1e3,
+        np.array(searches) / 1e3,
+        np.array(opencv) / 1e3,
+        poses / len(times),
     )
 
 
@@ -129,9 +143,7 @@ def _look(
     known = expected if marker_id in memory else None
     grey = seen.photographs[view].grey
     begun = busy_ns()
-    found = detect_markers(
-        grey, region, layout, camera, thorough=False, expected=known, memory=memory
-    )
+    found = detect_markers(grey, region, layout, camera, expected=known, memory=memory)
     pose = estimate_pose(found, layout, camera, DOWN_V, (x, y, z), PoseSettings())
     return busy_ns() - begun, isinstance(pose, MarkerPose)
 

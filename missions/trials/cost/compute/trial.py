@@ -35,6 +35,7 @@ NEEDS = ("renderer",)
 # on photographs: the budget of a marker's pose on real frames of 1280x720
 REAL_MEDIAN_MS = 1.5
 REAL_P99_MS = 3.0
+SEARCH_MS = 12.0  # of a whole photograph
 MARKER_GOALS_MS = {"640x480": 1.3, "1280x720": 2.0}
 CYCLE_GOAL_MS = 2.5
 LOG_GOAL = 0.05
@@ -127,16 +128,16 @@ def _real_findings(real: Sequence[PhotographTimes]) -> list[TrialFinding]:
     findings: list[TrialFinding] = []
     for each in real:
         told = each.summary()
-        title = f"{each.name}: marker's pose while tracking"
         size = f"{each.camera.width}x{each.camera.height}"
         note = f"{told['looks']} looks; OpenCV's detector on the whole photograph: {told['opencv_median_ms']:.1f} ms"
         for name, key, goal in (
-            ("median", "median_ms", REAL_MEDIAN_MS),
-            ("p99", "p99_ms", REAL_P99_MS),
+            ("marker's pose while tracking, median", "median_ms", REAL_MEDIAN_MS),
+            ("marker's pose while tracking, p99", "p99_ms", REAL_P99_MS),
+            ("a marker searched for everywhere, median", "search_median_ms", SEARCH_MS),
         ):
             ms = told[key]
             findings.append(
-                TrialFinding(f"{title}, {name}, {size}, ms", f"{ms:.2f}", goal=f"≤ {goal:g}", note=note,
+                TrialFinding(f"{each.name}: {name}, {size}, ms", f"{ms:.2f}", goal=f"≤ {goal:g}", note=note,
                              verdict=verdict(ms <= goal))
             )  # fmt: skip
     return findings

@@ -155,7 +155,7 @@ def find_marker(shot: Shot) -> dict[str, MarkerDetection | None]:
     OpenCV's corners are taken in a region around it, enlarged: so they start better than they would
     in the whole.
     """
-    found = detect_markers(shot.color, None, LAYOUT, CAMERA, thorough=False)
+    found = detect_markers(shot.color, None, LAYOUT, CAMERA)
     if len(found) != 1:
         return dict.fromkeys(REFINES)
     (u0, v0), (u1, v1) = (
