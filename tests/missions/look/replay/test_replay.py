@@ -29,8 +29,8 @@ from tests.missions.look.replay.filmed import make_films
 RECORDED = "sim-rendered, every frame recorded"
 RECORDS = (
     ("[mission]\n", '[mission]\nrecord = "all"\n'),
-    ("hold_frames = 350\nhold_s = 7.0\n", 'gate = "count"\nhold_frames = 100\nhold_s = 2.5\n'),
-    ("rate_hz = 50.0\n", "rate_hz = 20.0\n"),
+    ("hold_frames = 350\nhold_s = 7.0\n", 'gate = "count"\nhold_frames = 75\nhold_s = 2.5\n'),
+    ("rate_hz = 50.0\n", "rate_hz = 15.0\n"),
 )
 CHANGED = PerceptionChange(settings={"min_saturation": 1.0})  # with which nothing is seen
 SETTINGS = (
@@ -246,7 +246,7 @@ def films(flown: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) 
     target.
     """
     return make_films(
-        flown(RECORDED, 2, "kill_receiver@verify+3"), tmp_path_factory.mktemp("films"), (0.5, 2.0)
+        flown(RECORDED, 2, "kill_receiver@verify+3"), tmp_path_factory.mktemp("films"), (0.5, 2.5)
     )
 
 
