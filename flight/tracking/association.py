@@ -37,6 +37,7 @@ _BESIDE = 0.48  # around the object, what else is told of
 DEPTH_FLOOR = 0.096
 # after so long anything else that the object may have come to might as well be the object
 UNSEEN_S = 0.5
+_RATHER = 0.5  # the least probability with which an object in sight is followed when none was kept
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 AMBIGUITY = 0.6
 DEPTH_SIGMAS = 3.0
@@ -173,12 +174,13 @@ def _looked(
         found,
         (predicted_n, track.range_m if expected is None else expected[2]),
     )
-    sure = identity.sure
-    if sure is not None:
-        north, east, _ = sure.mean[:3].tolist()
+    # who nobody has kept for a while is rather looked for where it most likely is
+    shown = identity.shown(_RATHER if _unseen(track, view.stamp_ns) else LEAST_IDENTITY)
+    if shown is not None:
+        north, east, _ = shown.mean[:3].tolist()
         off_m = math.hypot(north - predicted_n[0], east - predicted_n[1])
         if expected is None or off_m > track.gate_m(sigma_m, view.stamp_ns):
-            track.found_again(sure)
+            track.found_again(shown)
             expected = _expected(track, T_n_c, camera, view.stamp_ns)
     return None if expected is None else (found, *expected)
 

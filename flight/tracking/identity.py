@@ -13,7 +13,7 @@ from drivers.interfaces import View
 from flight.config import MissionConfig
 from flight.guidance import Vec3
 from flight.tracking.largest_box import LargestBox
-from flight.tracking.objects import CUT_SCORE, MIN_SCORE
+from flight.tracking.objects import CUT_SCORE, MIN_SCORE, cut_sides
 from path.belief.boxes import Measured
 from path.belief.motion import Array, Motion
 from path.belief.objects import Belief
@@ -59,6 +59,7 @@ class Identity:
     def __init__(self, mission: MissionConfig, largest: LargestBox | None) -> None:
         self._wander_rad = math.radians(mission.attitude_wander_deg)
         self._accel_mps2 = mission.follow.target_accel_mps2
+        self._flies = mission.target.flies
         self._largest = largest
         self.belief: Belief | None = None
         self._boxes: list[Box] = []
@@ -112,7 +113,7 @@ class Identity:
                 return
             place = np.asarray(place_n)
             nearest = min(measured, key=lambda each: float(np.linalg.norm(each.place_m - place)))
-            self.belief = Belief(self._accel_mps2)
+            self.belief = Belief(self._accel_mps2, flies=self._flies)
             self.belief.designate(place, nearest, view.stamp_ns)
 
         T_c_n = T_n_c.inverse()
@@ -164,13 +165,12 @@ class Identity:
         box = next(own, None)
         return None if box is None else (box, belief.probability(likeliest.number))
 
-    @property
-    def sure(self) -> Motion | None:
-        """Return where the designated object is by the newest frame, which shows it; None when it
-        is not sure.
+    def shown(self, least: float) -> Motion | None:
+        """Return where the object is, by the newest frame, that is the designated one with at least
+        that probability; None where the frame does not show it.
         """
         stated = self.stated
-        if self.belief is None or stated is None or stated[1] < LEAST_IDENTITY:
+        if self.belief is None or stated is None or stated[1] < least:
             return None
         likeliest = self.belief.likeliest
         return None if likeliest is None else likeliest.motion
@@ -219,10 +219,15 @@ class Identity:
         share = _ELSEWHERE * (1.0 if detection.score >= MIN_SCORE else _POOR)
         view_m3 = camera.width * camera.height * z_m**3 / (camera.fx * camera.fy)
         side_sigma = math.hypot(2.0 * BOX_SIGMA_PX / max(1.0, min(box.w, box.h)), along_m / z_m)
+        cut = (
+            any(cut_sides(box.x, box.w, camera.width)),
+            any(cut_sides(box.y, box.h, camera.height)),
+        )
         place = T_n_c.apply(np.array((x * z_m, y * z_m, z_m)))
         return Measured(
             place_m=place, covariance_m2=covariance, eye_m=T_n_c.t, axes=T_n_c.R, sides_m=(wide_m, high_m),
             side_sigma=side_sigma, most_m=most, elsewhere_m3=share / view_m3, newcomers_m3_s=_NEWCOMERS_HZ / view_m3,
+            cut=cut,
         )  # fmt: skip
 
 

@@ -13,6 +13,15 @@ never known better by it than to d/2, and one that is known better already is to
 box may so be of two objects: whoever is expected inside a box that is assigned to another, by
 its direction and at any range, is held by it, and not missed.
 
+Of such a box each edge is of the one that surely reaches farthest there, and gives its middle,
+
+    middle = edge -+ side / 2
+
+and its depth is of the one that is surely the nearest. Where it is not known who that is, an object
+is anywhere in the box, at the range at which it was. A side that the image's border cuts has no
+edge of anybody, and is a lower bound: P(side >= box) takes the place of the density of the side,
+and nothing smaller is learnt from it.
+
 A side is as uncertain as an object may have turned since it was seen. Where a box holds somebody
 else, whom no other box shows, what it is larger by is that one's: d is all that exceeds the
 sides that were known.
@@ -21,6 +30,7 @@ sides that were known.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +41,10 @@ from path.values import value
 
 # standard deviations of a side's logarithm: what is farther off has more in its box, or less
 FITS = 2.0
+# of the order of two in an image, from which on an edge of their box is of the one that reaches
+# farther there
+_SURE = 3.0
+UNKNOWN_SIZE = 1.0  # variance of a side's logarithm
 _SIZE_TAIL = 3.0
 _SIZE_DENSITY = 0.5  # of a side's logarithm, of anything: between 1 / e and e times as large
 # the share of an axis' variance with which a measurement along it counts for nothing
@@ -52,6 +66,7 @@ class Measured:
             is not known.
         elsewhere_m3: density per m^3 of boxes of nothing that is known, inventions among them.
         newcomers_m3_s: of objects that come into view, per m^3 and s.
+        cut: whether the image's border cuts its width, and its height: the object is larger.
     """
 
     place_m: Array
@@ -63,6 +78,7 @@ class Measured:
     most_m: tuple[float, float]
     elsewhere_m3: float
     newcomers_m3_s: float
+    cut: tuple[bool, bool] = (False, False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,45 +86,129 @@ class Fit:
     """A measurement, if it is of a track's object.
 
     Attributes:
-        within_m2: covariance (3, 3) of the object's middle in its box, beside the box's own noise.
-            It is bounded: a box may err more than its noise has it, but an object is inside its
-            box.
+        place_m: (3,) of the object's middle.
+        within_m2: covariance (3, 3) of that, beside the box's own noise. It is bounded: a box may
+            err more than its noise has it, but an object is inside its box.
         noise_m2: what the track is updated with.
         larger: whether something else is in its box.
     """
 
+    place_m: Array
     within_m2: Array
     noise_m2: Array
     larger: bool
 
 
-def fit_of(track: ObjectTrack, measured: Measured, *, shared: bool = False) -> Fit:
-    """Return how a measurement is of a track's object. ``shared``: another one that is not shown is
-    in its box too, so that what it is larger by than the object was is that one's: the object need
-    not have turned.
+def fit_of(track: ObjectTrack, measured: Measured, others: Sequence[ObjectTrack] = ()) -> Fit:
+    """Return how a measurement is of a track's object.
+
+    Args:
+        others: those who are in its box too, and not shown otherwise: what it is larger by than the
+            object was is theirs, and the object need not have turned.
     """
     sides = np.asarray(measured.sides_m)
-    turned = 0.0 if shared else track.size_variance
-    factor = math.exp(FITS * math.sqrt(turned + measured.side_sigma**2))
+    turned = 0.0 if others else track.size_variances
+    factor = np.exp(FITS * np.sqrt(turned + measured.side_sigma**2))
     expected = np.minimum(np.exp(track.log_sides), measured.most_m)
     more = np.maximum(sides - np.minimum(factor * expected, measured.most_m), 0.0)
     beyond = np.maximum(expected / factor - sides, more)
     if more.any():  # it may be as small as that, anywhere in there
         beyond = np.maximum(sides - expected / factor, beyond)
+    if others and more.any():
+        return held(track, measured, others, beyond, its_own=True)
     if not beyond.any():
-        return Fit(_NOWHERE_ELSE, measured.covariance_m2, larger=False)
+        return Fit(measured.place_m, _NOWHERE_ELSE, measured.covariance_m2, larger=False)
     noise = measured.covariance_m2 + _bounded(track.motion, beyond, measured.axes)
-    return Fit(within(beyond, measured.axes), noise, bool(more.any()))
+    return Fit(measured.place_m, within(beyond, measured.axes), noise, bool(more.any()))
+
+
+def held(
+    track: ObjectTrack,
+    around: Measured,
+    others: Sequence[ObjectTrack],
+    beyond_m: Array,
+    *,
+    its_own: bool = False,
+) -> Fit:
+    """Return what a box with more than one object in it says of one of them.
+
+    It is in that direction, where an edge is surely its own; how far off, the box says of the
+    nearest.
+
+    Args:
+        others: who else is in it; none where the box is as large as one, and hides the object.
+        beyond_m: by how much its middle is unknown, right and down, where no edge is its own.
+        its_own: the box is rather of this one, which is the nearest unless another surely is.
+    """
+    motion = track.motion
+    ahead = around.axes[:, 2]
+    known_m2 = float(ahead @ motion.place_covariance_m2 @ ahead)
+    shift, beyond = _parted(track, around, others, beyond_m)
+    nearer = [_nearer(motion, other.motion, ahead) for other in others]
+    surely = bool(nearer) and min(nearer) > _SURE
+    if surely or (its_own and min(nearer) > -_SURE):
+        times = 1.0
+        beyond = np.append(beyond, max(beyond_m))
+    else:
+        times = max(_times_as_far(motion.place_m, around), 1e-9)
+        beyond = np.append(beyond, 2.0 * math.sqrt(known_m2) / times)
+    middle_m = around.place_m + around.axes[:, :2] @ shift
+    place_m = around.eye_m + times * (middle_m - around.eye_m)
+    noise_m2 = around.covariance_m2 + _bounded(motion, times * beyond, around.axes)
+    return Fit(place_m, within(times * beyond, around.axes), noise_m2, larger=True)
+
+
+def _nearer(one: Motion, other: Motion, ahead: Array) -> float:
+    """Return by how many standard deviations one object is nearer than another."""
+    behind_m = float(ahead @ (other.place_m - one.place_m))
+    unsure_m2 = float(ahead @ (one.place_covariance_m2 + other.place_covariance_m2) @ ahead)
+    return behind_m / math.sqrt(unsure_m2)
+
+
+def _parted(
+    track: ObjectTrack, measured: Measured, others: Sequence[ObjectTrack], beyond_m: Array
+) -> tuple[Array, Array]:
+    """Return what an object's middle is off the middle of a box around it and others, right and
+    down, and by how much that is unknown, all at the box's range.
+    """
+    low, high, variances = _edges(track, measured)
+    first = ~np.asarray(measured.cut) & bool(others)
+    last = first.copy()
+    for other in others:
+        low_other, high_other, variances_other = _edges(other, measured)
+        unsure = _SURE * np.sqrt(variances + variances_other)
+        first &= low + unsure < low_other
+        last &= high - unsure > high_other
+    own = high - low
+    off = 0.5 * (np.asarray(measured.sides_m) - own)
+    shift = np.where(first ^ last, off * (last.astype(float) - first.astype(float)), 0.0)
+    known = own * np.sqrt(track.size_variances) + np.where(first & last, np.abs(off), 0.0)
+    return shift, np.where(first | last, np.minimum(known, beyond_m), beyond_m)
+
+
+def _edges(track: ObjectTrack, measured: Measured) -> tuple[Array, Array, Array]:
+    """Return where an object's box is expected to begin and end, right and down of a box's middle
+    at its range, and the variance of either.
+    """
+    times = max(_times_as_far(track.motion.place_m, measured), 1e-9)
+    across = measured.axes[:, :2]
+    seen_m = measured.eye_m + (track.motion.place_m - measured.eye_m) / times
+    middle = across.T @ (seen_m - measured.place_m)
+    half = 0.5 * track.sides_m(measured.most_m) / times
+    known = np.einsum("ij,ik,kj->j", across, track.motion.place_covariance_m2, across)
+    return middle - half, middle + half, known / times**2 + half**2 * track.size_variances
 
 
 def size_fits(track: ObjectTrack, measured: Measured) -> float:
     """Return how much likelier the sides of a box are, if it is of this track's object, than of
-    anything.
+    anything: with Student's density of each, or, of one that is cut, the probability that the
+    object is as large as that.
     """
-    variance = track.size_variance + measured.side_sigma**2
-    off = np.log(measured.sides_m) - track.log_sides
-    tails = (1.0 + off * off / (variance * _SIZE_TAIL)) ** (-0.5 * (_SIZE_TAIL + 1.0))
-    return float(np.prod(0.3675 / math.sqrt(variance) * tails)) / _SIZE_DENSITY**2
+    sigmas = np.sqrt(track.size_variances + measured.side_sigma**2)
+    off = (np.log(measured.sides_m) - track.log_sides) / (sigmas * math.sqrt(_SIZE_TAIL))
+    densities = 0.3675 / sigmas * (1.0 + off * off) ** (-0.5 * (_SIZE_TAIL + 1.0)) / _SIZE_DENSITY
+    as_large = 0.5 - (off / (1.0 + off * off) + np.arctan(off)) / math.pi
+    return float(np.prod(np.where(measured.cut, as_large, densities)))
 
 
 def is_part(measured: Measured, track: ObjectTrack, taken: Measured | None) -> bool:
@@ -128,33 +228,25 @@ def is_part(measured: Measured, track: ObjectTrack, taken: Measured | None) -> b
     off = np.abs(measured.axes[:, :2].T @ (place_m - measured.place_m))
     own = np.asarray(measured.sides_m)
     covered = np.maximum(np.maximum(sides, own), off + 0.5 * (sides + own))
-    spread = math.exp(FITS * math.sqrt(track.size_variance + measured.side_sigma**2))
+    spread = np.exp(FITS * np.sqrt(track.size_variances + measured.side_sigma**2))
     return bool(np.all(covered <= np.minimum(expected * spread, measured.most_m)))
 
 
-def inside(motion: Motion, measured: Measured, sigmas: float = 0.0) -> bool:
-    """Return whether an object is seen in a box, by its direction and at any range, or may be
-    within so many standard deviations.
-    """
+def inside(motion: Motion, measured: Measured) -> float:
+    """Return how likely an object is seen in a box, by its direction, at any range."""
     times = _times_as_far(motion.place_m, measured)
     if not times > 0.0:
-        return False
+        return 0.0
     across = measured.axes[:, :2]
     seen_m = measured.eye_m + (motion.place_m - measured.eye_m) / times
-    off = np.abs(across.T @ (seen_m - measured.place_m))
-    spread = np.sqrt(np.diag(across.T @ motion.place_covariance_m2 @ across)) / times
-    return bool(np.all(off <= 0.5 * np.asarray(measured.sides_m) + sigmas * spread))
-
-
-def hold(motion: Motion, measured: Measured) -> None:
-    """Keep an object in a box that is another one's: in its direction, at any range."""
-    times = max(_times_as_far(motion.place_m, measured), 1e-9)
-    wide, high = measured.sides_m
-    ahead = measured.axes[:, 2]
-    known_m = math.sqrt(float(ahead @ motion.place_covariance_m2 @ ahead))
-    bounds = _bounded(motion, np.array([times * wide, times * high, 2.0 * known_m]), measured.axes)
-    place_m = measured.eye_m + times * (measured.place_m - measured.eye_m)
-    motion.update(place_m, measured.covariance_m2 + bounds)
+    off = across.T @ (seen_m - measured.place_m)
+    spread = np.sqrt(2.0 * np.diag(across.T @ motion.place_covariance_m2 @ across)) / times
+    half = 0.5 * np.asarray(measured.sides_m)
+    either = 1.0
+    for k in range(2):
+        first = math.erf((half[k] - off[k]) / spread[k])
+        either *= 0.5 * (first + math.erf((half[k] + off[k]) / spread[k]))
+    return either
 
 
 def within(beyond_m: Array, axes: Array) -> Array:
@@ -171,7 +263,7 @@ def _bounded(motion: Motion, beyond_m: Array, axes: Array) -> Array:
     """
     bounds = _halves(beyond_m)
     known = np.einsum("ij,ik,kj->j", axes, motion.place_covariance_m2, axes)
-    left = np.maximum(known - bounds, _NOTHING * bounds + 1e-12)
+    left = np.maximum(known - bounds, _NOTHING * bounds + 1e-300)
     return (axes * (bounds * np.maximum(known, bounds) / left)) @ axes.T
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from path.belief.assignment import associate
-from path.belief.boxes import Fit, Measured, fit_of, inside, size_fits
+from path.belief.boxes import Fit, Measured, fit_of, held, inside, size_fits
 from path.belief.motion import ODD_TIMES, Array, density, mahalanobis2
 from path.belief.track import SPELL_S, ObjectTrack
 
@@ -15,6 +15,7 @@ GATE2 = (2.0 * ODD_TIMES) ** 2
 """The squared distance from which on a box is of something else, however odd it may be."""
 SHOWN = 0.9
 """The probability that a detector shows an object that it showed in the frame before."""
+_IN_IT = 0.25  # within a box's width and within its height, as likely as not
 
 
 class Frame:
@@ -28,6 +29,7 @@ class Frame:
         holders: by track, the measurement whose box it is expected inside, or None.
         assigned: by track, the measurement that is of it, or None. marginals: (tracks, measured).
         fits: by track and measurement.
+        held: by track, how a box that is another one's holds it, or None.
         together: the measurements that have more than one object in their box.
     """
 
@@ -48,10 +50,12 @@ class Frame:
         for k, column in enumerate(self.assigned):
             if column is None:
                 continue
-            if self._holds_another(tracks, k, column):
-                self.fits[k][column] = fit_of(tracks[k], measured[column], shared=True)
+            others = self._others(tracks, k, column)
+            if others:
+                self.fits[k][column] = fit_of(tracks[k], measured[column], others)
             if self.fits[k][column].larger:
                 self.together.add(column)
+        self.held = [self._held(tracks, i, column) for i, column in enumerate(self.holders)]
 
     def fit(self, k: int) -> tuple[Measured, Fit] | None:
         """Return the measurement that is of a track, and how; None when none is."""
@@ -73,7 +77,7 @@ class Frame:
                 fit = self.fits[i][j]
                 if track.inferred and fit.larger:
                     continue  # that is the box of the one that it is in there with
-                off_m = each.place_m - track.motion.place_m
+                off_m = fit.place_m - track.motion.place_m
                 anywhere_m2 = known_m2 + fit.within_m2
                 if mahalanobis2(off_m, anywhere_m2 + each.covariance_m2) > GATE2:
                     continue
@@ -83,12 +87,24 @@ class Frame:
                 weights[i, j] = likely * likelihood / (unshown * each.elsewhere_m3)
         return weights
 
-    def _holds_another(self, tracks: Sequence[ObjectTrack], k: int, column: int) -> bool:
-        """Return whether a track's box has another object in it, that is not shown otherwise."""
-        return any(
-            other.confirmed and i != k and self.holders[i] == column and self.assigned[i] is None
+    def _others(self, tracks: Sequence[ObjectTrack], own: int, column: int) -> list[ObjectTrack]:
+        """Return who else is in a box, and not shown otherwise."""
+        return [
+            other
             for i, other in enumerate(tracks)
-        )
+            if i != own
+            and (
+                self.assigned[i] == column
+                or (other.confirmed and self.holders[i] == column and self.assigned[i] is None)
+            )
+        ]
+
+    def _held(self, tracks: Sequence[ObjectTrack], i: int, column: int | None) -> Fit | None:
+        if column is None or self.assigned[i] is not None:
+            return None
+        others = self._others(tracks, i, column) if column in self.together else []
+        each = self.measured[column]
+        return held(tracks[i], each, others, np.asarray(each.sides_m))
 
 
 def again(track: ObjectTrack, dt_s: float) -> float:
@@ -97,5 +113,5 @@ def again(track: ObjectTrack, dt_s: float) -> float:
 
 
 def _holder(track: ObjectTrack, measured: Sequence[Measured]) -> int | None:
-    around = (column for column, each in enumerate(measured) if inside(track.motion, each))
+    around = (column for column, each in enumerate(measured) if inside(track.motion, each) > _IN_IT)
     return next(around, None)

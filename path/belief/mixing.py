@@ -68,7 +68,7 @@ def mix(tracks: Sequence[ObjectTrack], frame: Frame, stamp_ns: int) -> None:
         follower = tracks[k]
         each = frame.measured[column]
         fit = frame.fits[k][column]
-        off_m = each.place_m - follower.motion.place_m
+        off_m = fit.place_m - follower.motion.place_m
         new = renewal(follower.motion.place_covariance_m2, fit.noise_m2, off_m)
         doubt = _of_unknown(tracks, k, column, frame)
         for i, track in enumerate(tracks):
@@ -106,8 +106,9 @@ def _of_unknown(tracks: Sequence[ObjectTrack], k: int, column: int, frame: Frame
     of_known = float(marginals[:, column].sum() + marginals[k].sum() - marginals[k, column])
     newcomers = min(1.0, each.newcomers_m3_s * frame.dt_s / each.elsewhere_m3)
     shown_again = again(follower, frame.dt_s)
-    off_m = each.place_m - follower.motion.place_m
-    anywhere_m2 = follower.motion.place_covariance_m2 + frame.fits[k][column].within_m2
+    fit = frame.fits[k][column]
+    off_m = fit.place_m - follower.motion.place_m
+    anywhere_m2 = follower.motion.place_covariance_m2 + fit.within_m2
     of_it = shown_again * density(off_m, anywhere_m2, each.covariance_m2)
     unseen_m3 = (1.0 - shown_again) * others_m3(tracks, follower, each)
     of_others = unseen_m3 * min(1.0, frame.dt_s / SPELL_S)

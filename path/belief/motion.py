@@ -9,6 +9,10 @@ it keeps one up. Over a time t without a measurement the covariance grows by
     Q = S * | t^3/3 I   t^2/2 I |
             | t^2/2 I   t     I |
 
+What does not fly climbs as the ground does, by CLIMBS of its way at most: that share of ``a`` and
+of the speeds is along the vertical axis. So a box that shows a part of it does not send it up or
+down.
+
 A measurement is of the place, z = p + n. Detectors err more than a Gaussian has it, at times: a
 share ODD of the boxes has errors ODD_TIMES as large,
 
@@ -34,7 +38,10 @@ Array = NDArray[np.float64]
 MANOEUVRE_S = 0.5
 ODD = 0.05
 ODD_TIMES = 5.0
-_EYE = np.eye(3)
+CLIMBS = 0.1
+FLYING = np.ones(3)
+ON_GROUND = np.array([1.0, 1.0, CLIMBS])
+"""The share of each axis (north, east, down) in what an object can do."""
 
 
 @dataclass(slots=True)
@@ -52,13 +59,22 @@ class Motion:
     stamp_ns: int
 
     @classmethod
-    def at(cls, place_m: Array, covariance_m2: Array, accel_mps2: float, stamp_ns: int) -> Motion:
+    def at(
+        cls,
+        place_m: Array,
+        covariance_m2: Array,
+        accel_mps2: float | Array,
+        stamp_ns: int,
+    ) -> Motion:
         """Return an object first seen at a place: it may move as fast as it gets within one
         second.
+
+        Args:
+            accel_mps2: its greatest acceleration, or of each axis, shape (3,).
         """
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = covariance_m2
-        covariance[3:, 3:] = _EYE * accel_mps2**2
+        covariance[3:, 3:] = np.diag(accel_mps2**2 * FLYING)
         return cls(np.concatenate((place_m, np.zeros(3))), covariance, stamp_ns)
 
     @property
@@ -69,21 +85,21 @@ class Motion:
     def place_covariance_m2(self) -> Array:
         return self.covariance[:3, :3]
 
-    def advance(self, stamp_ns: int, accel_mps2: float) -> None:
+    def advance(self, stamp_ns: int, accel_mps2: float | Array) -> None:
         """Predict to a later stamp; an earlier one changes nothing."""
         t = (stamp_ns - self.stamp_ns) * 1e-9
         if t <= 0.0:
             return
-        density = accel_mps2**2 * MANOEUVRE_S
+        density = MANOEUVRE_S * np.diag(accel_mps2**2 * FLYING)
         P = self.covariance
         pp = P[:3, :3]
         pv = P[:3, 3:]
         vv = P[3:, 3:]
         grown = np.empty((6, 6))
-        grown[:3, :3] = pp + t * (pv + pv.T) + t * t * vv + density * t**3 / 3.0 * _EYE
-        grown[:3, 3:] = pv + t * vv + density * t * t / 2.0 * _EYE
+        grown[:3, :3] = pp + t * (pv + pv.T) + t * t * vv + density * t**3 / 3.0
+        grown[:3, 3:] = pv + t * vv + density * t * t / 2.0
         grown[3:, :3] = grown[:3, 3:].T
-        grown[3:, 3:] = vv + density * t * _EYE
+        grown[3:, 3:] = vv + density * t
         self.mean[:3] += t * self.mean[3:]
         self.covariance = grown
         self.stamp_ns = stamp_ns

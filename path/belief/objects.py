@@ -19,10 +19,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from path.belief.boxes import FITS, Fit, Measured, hold, inside, is_part, within
+from path.belief.boxes import UNKNOWN_SIZE, Fit, Measured, inside, is_part, within
 from path.belief.frame import SHOWN, Frame
 from path.belief.mixing import FORGOTTEN, mix
-from path.belief.motion import Array, Motion, renewal
+from path.belief.motion import FLYING, ON_GROUND, Array, Motion, renewal
 from path.belief.track import LOG_ODDS_CONFIRMED, SPELL_S, ObjectTrack
 
 NEW_SHARE = 0.1
@@ -34,6 +34,7 @@ _SIZE_RATE = 0.1  # by which the logarithm of a box's side changes within a seco
 _DESIGNATED = 2.0
 # of an identity: what is out of sight for long, with more than that, may be the object
 _WORTH_KEEPING = 0.01
+_MAY_BE = 0.02  # the least probability with which somebody known is the other one in a box
 _MOST_TRACKS = 16
 _LOG_ODDS_NEW = math.log(NEW_SHARE / (1.0 - NEW_SHARE))
 _LOG_ODDS_DEAD = math.log(_DEAD / (1.0 - _DEAD))
@@ -44,11 +45,12 @@ class Belief:
 
     Args:
         accel_mps2: how hard an object speeds up, brakes and turns at most.
+        flies: it moves up and down too.
     """
 
-    def __init__(self, accel_mps2: float) -> None:
+    def __init__(self, accel_mps2: float, *, flies: bool = True) -> None:
         self.tracks: list[ObjectTrack] = []
-        self._accel_mps2 = accel_mps2
+        self._accel_mps2 = accel_mps2 * (FLYING if flies else ON_GROUND)
         self._numbers = 0
         self._stamp_ns: int | None = None
         # by measurement of the newest frame: number of its track
@@ -71,10 +73,10 @@ class Belief:
         track.motion.covariance[:3, :3] *= _DESIGNATED**2
         if np.any(np.asarray(measured.sides_m) > measured.most_m):
             track.motion.covariance[:3, :3] += within(np.asarray(measured.sides_m), measured.axes)
-            track.size_variance = 1.0
+            track.size_variances[:] = UNKNOWN_SIZE
             other = self._begin(measured, stamp_ns)
             other.motion.covariance[:3, :3] = track.motion.place_covariance_m2
-            other.size_variance = 1.0
+            other.size_variances[:] = UNKNOWN_SIZE
             other.log_odds = LOG_ODDS_CONFIRMED
         track.log_odds = LOG_ODDS_CONFIRMED
         track.identity = 1.0
@@ -92,24 +94,22 @@ class Belief:
         self._stamp_ns = stamp_ns
         for track in self.tracks:
             track.motion.advance(stamp_ns, self._accel_mps2)
-            track.size_variance += _SIZE_RATE**2 * dt_s
+            track.size_variances += _SIZE_RATE**2 * dt_s
         frame = Frame(self.tracks, measured, sees, dt_s)
         mix(self.tracks, frame, stamp_ns)
         for k, track in enumerate(self.tracks):
             own = frame.fit(k)
-            held = frame.holders[k]
+            held = frame.held[k]
             if own is not None:
                 self._shown(track, *own, stamp_ns, dt_s)
                 continue
+            unseen = held is None and sees(track.motion.place_m)
             if held is not None:
-                hold(track.motion, measured[held])
-                track.shown = False  # one of those in a box may be hidden
-                if track.inferred and held not in frame.together:
-                    track.log_odds -= _MISSED * dt_s / SPELL_S
-            elif sees(track.motion.place_m):
-                track.shown = False
-                if track.inferred or not track.confirmed:
-                    track.log_odds -= _MISSED * dt_s / SPELL_S
+                track.motion.update(held.place_m, held.noise_m2)
+                unseen = track.inferred and frame.holders[k] not in frame.together
+            track.shown = track.shown and held is None and not unseen
+            if unseen and (track.inferred or not track.confirmed):
+                track.log_odds -= _MISSED * dt_s / SPELL_S
         numbers = {
             column: self.tracks[k].number
             for k, column in enumerate(frame.assigned)
@@ -172,9 +172,8 @@ class Belief:
         covariance = measured.covariance_m2 + within(beyond, measured.axes)
         motion = Motion.at(measured.place_m, covariance, self._accel_mps2, stamp_ns)
         sides = np.log(np.minimum(measured.sides_m, measured.most_m))
-        track = ObjectTrack(
-            self._numbers, motion, sides, measured.side_sigma**2, _LOG_ODDS_NEW, stamp_ns
-        )
+        variances = np.where(measured.cut, UNKNOWN_SIZE, measured.side_sigma**2)
+        track = ObjectTrack(self._numbers, motion, sides, variances, _LOG_ODDS_NEW, stamp_ns)
         self._numbers += 1
         self.tracks.append(track)
         return track
@@ -182,7 +181,7 @@ class Belief:
     def _shown(
         self, track: ObjectTrack, measured: Measured, fit: Fit, stamp_ns: int, dt_s: float
     ) -> None:
-        track.motion.update(measured.place_m, fit.noise_m2)
+        track.motion.update(fit.place_m, fit.noise_m2)
         track.replaced *= (1.0 - SHOWN) ** (dt_s / SPELL_S)
         track.hidden *= math.exp(-dt_s / FORGET_S)
         track.shown = not fit.larger
@@ -190,13 +189,17 @@ class Belief:
         track.seen_ns = stamp_ns
         if not track.confirmed:
             track.log_odds += dt_s / SPELL_S
+        if fit.larger:
+            return
         off = np.log(measured.sides_m) - track.log_sides
-        variance = track.size_variance + measured.side_sigma**2
+        variances = track.size_variances + measured.side_sigma**2
+        cut = np.asarray(measured.cut)  # it is as large as that at least
+        told = ~(cut & (off < 0.0))
         # else more is in its box, or less of it is seen
-        if not fit.larger and float(off @ off) <= 9.0 * variance:
-            gain = track.size_variance / variance
-            track.log_sides = track.log_sides + gain * off
-            track.size_variance *= 1.0 - gain
+        if float(np.sum((off * off)[told] / variances[told])) <= 9.0:
+            gains = np.where(told, track.size_variances / variances, 0.0)
+            track.log_sides = track.log_sides + gains * off
+            track.size_variances = track.size_variances * (1.0 - np.where(cut, 0.0, gains))
 
     def _open(self, frame: Frame, stamp_ns: int) -> None:
         """Begin tracks of what no track was updated with, and is no part of an object."""
@@ -235,7 +238,7 @@ class Belief:
                 for other, own in zip(known, frame.assigned, strict=True)
                 if own is None
                 and (other.confirmed or other.inferred)
-                and inside(other.motion, each, FITS)
+                and inside(other.motion, each) > _MAY_BE
             ]
             for other in others:
                 if other.inferred:
@@ -245,7 +248,7 @@ class Belief:
                 other = self._begin(each, stamp_ns)
                 other.motion.covariance[:3, :3] += within(np.asarray(each.sides_m), each.axes)
                 other.log_sides = track.log_sides.copy()
-                other.size_variance = track.size_variance
+                other.size_variances = track.size_variances.copy()
                 other.shown = False
                 other.inferred = True
 

@@ -26,7 +26,7 @@ class ObjectTrack:
     """One object.
 
     Attributes:
-        log_sides: logarithm of the sides of its box in m. size_variance: of either.
+        log_sides: logarithms of the sides of its box in m. size_variances: of each.
         log_odds: that it exists. owed: of new ones, by other track, the share of its identity that
             is this one's if it exists.
         shown: whether the newest frame that could have did show it, in a box of its own.
@@ -43,7 +43,7 @@ class ObjectTrack:
     number: int
     motion: Motion
     log_sides: Array
-    size_variance: float
+    size_variances: Array
     log_odds: float
     seen_ns: int
     shown: bool = True

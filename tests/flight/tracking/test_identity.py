@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -95,6 +96,39 @@ def test_the_designated_object_is_gone_after_where_the_track_had_gone_over_to_an
     assert isinstance(seen, Sighting)
     assert seen.box == view.boxes()[0]
     assert math.dist(track.position_n_m, PLACE) < 0.05
+
+
+@pytest.mark.parametrize(("unseen_s", "taken"), [(0.1, False), (1.0, True)])
+def test_whom_nobody_kept_for_a_while_is_looked_for_where_it_most_likely_is(
+    unseen_s: float, taken: bool
+) -> None:
+    """And not offered: it is followed, to be seen when it is sure again."""
+    track = followed(0.5)
+    assert track.identity is not None and track.identity.belief is not None
+    own, other = track.identity.belief.tracks
+    own.identity, other.identity = 0.7, 0.3
+    stamp_ns = track.stamp_ns + FRAME_NS
+    track.position_n_m = beside(PLACE, 3.0)
+    track.stamp_ns -= round(unseen_s * SECOND)
+    seen = follow(FakeView([PLACE, beside(PLACE, 0.5)], stamp_ns), T_N_C, CAMERA, track)
+    assert isinstance(seen, MissReason)
+    assert (math.dist(track.position_n_m, PLACE) < 0.05) is taken
+
+
+def test_a_box_that_the_border_cuts_is_known_to_be_cut_along_that_side() -> None:
+    track = followed()
+    assert track.identity is not None
+    (inside,) = FakeView([PLACE]).targets(None)
+    for box, cut in (
+        (inside.box, (False, False)),
+        (replace(inside.box, x=0.0), (True, False)),
+        (replace(inside.box, y=CAMERA.height - inside.box.h), (False, True)),
+    ):
+        view = FakeView([PLACE], track.stamp_ns, has_depth=False)
+        measured = track.identity._measured(
+            view, T_N_C, CAMERA, replace(inside, box=box), PLACE[2], 2.0
+        )
+        assert measured.cut == cut
 
 
 def test_what_is_known_beside_the_target_is_looked_at_as_long_as_it_is_in_view() -> None:

@@ -23,7 +23,7 @@ TURNED = np.array([[0.0, -0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, 0.6]])
 
 def track(sides_m: tuple[float, float] = (0.3, 0.4), variance: float = 0.01) -> ObjectTrack:
     motion = Motion.at(np.array([2.0, 0.0, 0.0]), 0.01 * np.eye(3), 0.6, 0)
-    return ObjectTrack(0, motion, np.log(sides_m), variance, log_odds=5.0, seen_ns=0)
+    return ObjectTrack(0, motion, np.log(sides_m), np.full(2, variance), log_odds=5.0, seen_ns=0)
 
 
 def measured(sides_m: tuple[float, float], **changes: object) -> Measured:
@@ -191,21 +191,83 @@ def test_a_doubt_that_a_new_object_has_taken_is_none_any_more() -> None:
     assert belief.identity_of(1) == pytest.approx(0.3, abs=0.01)
 
 
-def test_one_is_held_in_the_box_of_a_nearer_one_by_its_direction_at_its_own_range() -> None:
-    """Twice as far off, and so twice as far beside the middle as one at the box's own range."""
+def far_off(east_m: float, sigma_m: float = 0.1) -> ObjectTrack:
+    """One twice as far off as a box, and so twice as far beside the middle as one at its range."""
+    own = track((0.3, 0.3))
+    own.motion = Motion.at(np.array([4.0, east_m, 0.0]), sigma_m**2 * np.eye(3), 0.6, 0)
+    return own
+
+
+def test_one_is_seen_in_the_box_of_a_nearer_one_by_its_direction_as_likely_as_it_is_known() -> None:
     around = box(0.0, wide_m=0.6)
-    far = Motion.at(np.array([4.0, 0.5, 0.0]), 0.01 * np.eye(3), 0.6, 0)
-    assert file.inside(far, around)
-    far.mean[1] = 0.7
-    assert not file.inside(far, around)
-    assert file.inside(far, around, sigmas=2.0)
-    assert not file.inside(Motion.at(np.array([-1.0, 0.0, 0.0]), np.eye(3), 0.6, 0), around)
-    far.mean[:3] = (4.0, 0.0, 0.0)
-    far.covariance[1, 1] = 4.0
-    file.hold(far, around)
-    np.testing.assert_allclose(far.mean[:3], (4.0, 0.0, 0.0), atol=1e-9)
-    assert far.covariance[1, 1] == pytest.approx(0.6**2, rel=0.05)
-    assert far.covariance[0, 0] == pytest.approx(0.01, rel=0.01)  # of how far off, nothing
+    for east_m, half in ((0.5, 1.0), (0.6, 0.5), (0.7, 0.1587)):
+        high = math.erf(3.0 / math.sqrt(2.0))  # within its height
+        sides = 0.5 * (1.0 + math.erf((0.6 - east_m) / 0.1 / math.sqrt(2.0)))
+        assert file.inside(far_off(east_m).motion, around) == pytest.approx(high * sides)
+        assert sides == pytest.approx(half, abs=0.16)
+    behind = Motion.at(np.array([-1.0, 0.0, 0.0]), np.eye(3), 0.6, 0)
+    assert file.inside(behind, around) == 0.0
+
+
+def test_one_is_held_in_the_box_of_a_nearer_one_by_its_direction_at_its_own_range() -> None:
+    around = box(0.0, wide_m=0.6)
+    far = far_off(0.0)
+    far.motion.covariance[1, 1] = 4.0
+    fit = file.held(far, around, [], np.asarray(around.sides_m))
+    far.motion.update(fit.place_m, fit.noise_m2)
+    np.testing.assert_allclose(far.motion.mean[:3], (4.0, 0.0, 0.0), atol=1e-9)
+    assert far.motion.covariance[1, 1] == pytest.approx(0.6**2, rel=0.05)
+    assert far.motion.covariance[0, 0] == pytest.approx(0.01, rel=0.01)  # of how far off, nothing
+
+
+def beside(east_m: float, sigma_m: float = 0.02, north_m: float = 2.0) -> ObjectTrack:
+    own = track((0.3, 0.3), variance=1e-4)
+    own.motion = Motion.at(np.array([north_m, east_m, 0.0]), sigma_m**2 * np.eye(3), 0.6, 0)
+    return own
+
+
+def test_an_edge_of_a_box_of_two_is_of_the_one_that_surely_reaches_farther_there() -> None:
+    """0.7 m wide, from -0.2: the left one's middle is at -0.05, and the right one's at 0.35."""
+    around = box(0.15, wide_m=0.7)
+    left, right = beside(-0.1), beside(0.3)
+    for own, other, east_m in ((left, right, -0.05), (right, left, 0.35)):
+        fit = file.held(own, around, [other], np.array([0.4, 0.0]))
+        assert fit.larger
+        assert fit.place_m[1] == pytest.approx(east_m)
+        assert math.sqrt(fit.within_m2[1, 1]) == pytest.approx(0.5 * 0.3 * 0.01)
+
+
+@pytest.mark.parametrize("why", ["it may be the other one's", "the border cuts the box"])
+def test_where_an_edge_is_surely_nobody_s_one_is_anywhere_in_the_box(why: str) -> None:
+    cut = why == "the border cuts the box"
+    around = replace(box(0.15, wide_m=0.7), cut=(cut, False))
+    sigma_m = 0.02 if cut else 0.2
+    fit = file.held(beside(-0.1, sigma_m), around, [beside(0.3, sigma_m)], np.array([0.4, 0.0]))
+    assert fit.place_m[1] == pytest.approx(0.15)
+    assert math.sqrt(fit.within_m2[1, 1]) == pytest.approx(0.2)
+
+
+def test_how_far_off_a_box_is_it_says_of_the_nearest_in_it() -> None:
+    around = box(0.15, wide_m=0.7, north_m=2.1)
+    near, far = beside(0.0), beside(0.3, north_m=4.0)
+    beyond = np.array([0.4, 0.0])
+    assert file.held(near, around, [far], beyond).place_m[0] == pytest.approx(2.1)
+    for its_own in (False, True):
+        held = file.held(far, around, [near], beyond, its_own=its_own)
+        assert held.place_m[0] == pytest.approx(4.0)
+    # where it is not known who is, of the one to whom the box was given
+    near.motion.covariance[0, 0] = 1.0
+    assert file.held(far, around, [near], beyond).place_m[0] == pytest.approx(4.0)
+    assert file.held(far, around, [near], beyond, its_own=True).place_m[0] == pytest.approx(2.1)
+
+
+def test_a_cut_side_is_as_likely_as_the_object_is_so_large_at_least() -> None:
+    own = track()
+    whole = file.size_fits(own, measured((0.3, 0.4)))
+    for cut_m, likely in ((0.3, 0.5), (0.03, 1.0), (3.0, 0.0)):
+        cut = file.size_fits(own, measured((cut_m, 0.4), cut=(True, False)))
+        density = math.sqrt(whole)  # of the other side
+        assert cut / density == pytest.approx(likely, abs=2e-3)
 
 
 def test_a_doubt_goes_by_nine_tenths_with_each_spell_in_which_nothing_else_comes_up() -> None:
@@ -221,13 +283,13 @@ def test_a_doubt_goes_by_nine_tenths_with_each_spell_in_which_nothing_else_comes
 def test_the_size_of_an_object_is_learnt_from_boxes_of_its_own() -> None:
     belief, stamp_ns = begun()
     (own,) = belief.tracks
-    before, variance = own.log_sides.copy(), own.size_variance
+    before, variances = own.log_sides.copy(), own.size_variances.copy()
     belief.update([box(0.0, wide_m=0.31)], EVERYWHERE, stamp_ns + FRAME_NS)
-    grown = variance + 0.1**2 * 0.02
+    grown = variances + 0.1**2 * 0.02
     gain = grown / (grown + 0.03**2)
     off = np.log((0.31, 0.3)) - before
     np.testing.assert_allclose(own.log_sides, before + gain * off)
-    assert own.size_variance == pytest.approx((1.0 - gain) * grown)
+    np.testing.assert_allclose(own.size_variances, (1.0 - gain) * grown)
 
 
 def test_nothing_is_learnt_of_size_from_a_box_that_cannot_be_its_own() -> None:

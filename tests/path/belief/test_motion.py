@@ -7,7 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from path.belief.motion import MANOEUVRE_S, Array, Motion, density, mahalanobis2, normal, renewal
+from path.belief.motion import (
+    FLYING,
+    MANOEUVRE_S,
+    ON_GROUND,
+    Array,
+    Motion,
+    density,
+    mahalanobis2,
+    normal,
+    renewal,
+)
 
 EYE = np.eye(3)
 
@@ -86,6 +96,16 @@ def test_a_prediction_carries_all_that_is_known_on_and_adds_what_an_acceleration
     np.testing.assert_allclose(motion.mean, F @ mean, rtol=1e-9)
     np.testing.assert_allclose(motion.covariance, F @ P @ F.T + Q, rtol=1e-9)
     assert motion.stamp_ns == 3_700_000_000
+
+
+def test_what_does_not_fly_climbs_by_a_tenth_of_its_way_at_most() -> None:
+    known = 1e-12 * EYE
+    flying = Motion.at(np.zeros(3), known, 0.6 * FLYING, 0)
+    walking = Motion.at(np.zeros(3), known, 0.6 * ON_GROUND, 0)
+    flying.advance(2_000_000_000, 0.6 * FLYING)
+    walking.advance(2_000_000_000, 0.6 * ON_GROUND)
+    shares = np.sqrt(np.diag(walking.covariance) / np.diag(flying.covariance))
+    np.testing.assert_allclose(shares, (1.0, 1.0, 0.1) * 2, rtol=1e-6)
 
 
 @pytest.mark.parametrize("stamp_ns", [2_999_999_999, 3_000_000_000])

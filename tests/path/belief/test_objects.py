@@ -135,6 +135,62 @@ def test_one_box_around_two_for_long_says_no_more_which_is_which() -> None:
     assert belief.identity_of(0) < 0.99
 
 
+def test_two_in_a_box_that_stays_as_wide_as_both_stay_on_their_own_sides() -> None:
+    """An edge of the box is of the one that reaches farthest there: to change places they would
+    have to be one behind the other, in a narrower box.
+    """
+    belief, stamp_ns = begun(others_m=[0.35])
+    first, second = belief.tracks
+    for k in range(150):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.175 + 0.005 * k, wide_m=0.65)], EVERYWHERE, stamp_ns)
+    assert first.motion.place_m[1] == pytest.approx(0.745, abs=0.05)
+    assert second.motion.place_m[1] == pytest.approx(1.095, abs=0.05)
+    stamp_ns += FRAME_NS
+    belief.update([box(0.75), box(1.1)], EVERYWHERE, stamp_ns)
+    assert belief.identity_of(0) > 0.98
+
+
+def test_one_that_is_seen_in_the_box_of_a_nearer_one_stays_where_it_is() -> None:
+    """Twice as far off, it is seen half as far from the middle: in the box, however far beside
+    it.
+    """
+    belief, stamp_ns = begun()
+    for _ in range(50):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.0), box(0.7, north_m=4.0)], EVERYWHERE, stamp_ns)
+    far = belief.tracks[1]
+    for _ in range(100):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.175, wide_m=0.5)], EVERYWHERE, stamp_ns)
+    assert math.dist(far.motion.place_m, (4.0, 0.7, 0.0)) < 0.2
+    assert belief.identity_of(0) > 1.0 - 1e-3
+
+
+def test_a_box_that_the_border_cuts_teaches_no_smaller_size() -> None:
+    belief, stamp_ns = begun()
+    for _ in range(100):
+        stamp_ns += FRAME_NS
+        cut = replace(box(0.0, high_m=0.2), cut=(False, True))
+        belief.update([cut], EVERYWHERE, stamp_ns)
+    whole = belief.tracks[0]
+    np.testing.assert_allclose(np.exp(whole.log_sides), SIDE_M, rtol=0.05)
+    belief.update([box(0.0)], EVERYWHERE, stamp_ns + FRAME_NS)
+    assert len(belief.tracks) == 1
+    assert belief.identity_of(0) > 1.0 - 1e-4
+
+
+def test_one_that_comes_in_over_the_border_is_as_large_as_it_turns_out() -> None:
+    belief, stamp_ns = begun()
+    for k in range(50):
+        stamp_ns += FRAME_NS
+        high_m = 0.05 + 0.25 * min(1.0, k / 30.0)
+        coming = replace(box(1.0, high_m=high_m), cut=(False, k < 30))
+        belief.update([box(0.0), coming], EVERYWHERE, stamp_ns)
+    assert len(belief.tracks) == 2
+    np.testing.assert_allclose(np.exp(belief.tracks[1].log_sides), SIDE_M, rtol=0.05)
+
+
 def test_a_box_too_large_for_the_target_that_comes_apart_leaves_it_open_which_half_it_was() -> None:
     belief, most = Belief(ACCEL), (0.36, 0.36)
     belief.designate(box(0.0).place_m, box(0.0, wide_m=0.65, most_m=most), 0)
