@@ -14,7 +14,7 @@ from flight.config import FollowConfig, MissionConfig
 from flight.guidance import Vec3
 from flight.tracking.association import Sighting, follow
 from flight.tracking.target_track import TargetTrack
-from path.observations import Detection, MissReason, Region
+from path.observations import Box, Depth, Detection, MissReason, Region
 from tests.flight.tracking.test_association import CAMERA, PLACE, SECOND, T_N_C, FakeView, beside
 
 FRAME_NS = SECOND // 50
@@ -116,6 +116,10 @@ def test_whom_nobody_kept_for_a_while_is_looked_for_where_it_most_likely_is(
 
 
 def test_a_box_that_the_border_cuts_is_known_to_be_cut_along_that_side() -> None:
+    class WithoutDepth(FakeView):
+        def depth(self, box: Box) -> Depth | None:
+            return None
+
     track = followed()
     assert track.identity is not None
     (inside,) = FakeView([PLACE]).targets(None)
@@ -124,7 +128,7 @@ def test_a_box_that_the_border_cuts_is_known_to_be_cut_along_that_side() -> None
         (replace(inside.box, x=0.0), (True, False)),
         (replace(inside.box, y=CAMERA.height - inside.box.h), (False, True)),
     ):
-        view = FakeView([PLACE], track.stamp_ns, has_depth=False)
+        view = WithoutDepth([PLACE], track.stamp_ns)
         measured = track.identity._measured(
             view, T_N_C, CAMERA, replace(inside, box=box), PLACE[2], 2.0
         )
