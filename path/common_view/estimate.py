@@ -53,12 +53,15 @@ class Settings:
         most_conflict: share of common points that lie in front of what the other measured.
         most_sigma: of the translation along its widest axis, as a share of the median distance.
         most_yaw_sigma_rad: of yaw.
+        least_corners: that look alike where they would be the same. A floor with few things on it
+            agrees with itself wherever it is put: depth alone was off by a metre there, and sure.
     """
 
     least_evidence: float = 12.0
     most_conflict: float = 0.1
     most_sigma: float = 0.06
     most_yaw_sigma_rad: float = math.radians(3.0)
+    least_corners: int = 0
 
 
 @frozen(eq=False)
@@ -161,7 +164,7 @@ def judged(
     )  # fmt: skip
     if best.conflict > asked.most_conflict or best.evidence < asked.least_evidence:
         return Unknown(Why.NOTHING_COMMON, best)
-    if too_wide(own, range_m, asked):
+    if too_wide(own, range_m, asked) or best.corners < asked.least_corners:
         return Unknown(Why.UNCONSTRAINED, best)
     if too_wide(covariance, range_m, asked):
         return Unknown(Why.AMBIGUOUS, best)

@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.interfaces import Frame, Framed, View
 from flight.common_view import (
+    FLOWN,
     KEYFRAME_S,
     KeyframeReader,
     MeasuredPose,
@@ -223,7 +224,7 @@ class CommonViews:
         self, first: Keyframe, look: _Look, prior: Prior
     ) -> tuple[CommonView | Unknown, MeasuredPose | None]:
         second = self._reader.read(look.frame, look.T_n_c.R, OWN, first.patch_m)
-        found = common_view(first, second, prior)
+        found = common_view(first, second, prior, FLOWN)
         if isinstance(found, Unknown):
             return found, None
         return found, marker_pose(found, first, second, self._T_c1_v)

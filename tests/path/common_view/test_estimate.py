@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from path.common_view.estimate import CommonView, Unknown, Why, common_view
+from path.common_view.estimate import CommonView, Settings, Unknown, Why, common_view
 from tests.path.common_view.drawn import (
     around,
     bare,
@@ -114,3 +114,15 @@ def test_without_depth_it_is_unknown_and_says_so() -> None:
     found = common_view(seen.first, seen.second, seen.prior)
     assert isinstance(found, Unknown)
     assert found.why is Why.FEW_POINTS
+
+
+def test_a_pose_that_too_few_corners_hold_is_not_given() -> None:
+    seen = looks(room(1), around(0.0), around(30.0), 0)
+    found = common_view(seen.first, seen.second, seen.prior)
+    assert isinstance(found, CommonView)
+    enough = Settings(least_corners=found.corners)
+    assert isinstance(common_view(seen.first, seen.second, seen.prior, enough), CommonView)
+    more = Settings(least_corners=found.corners + 1)
+    refused = common_view(seen.first, seen.second, seen.prior, more)
+    assert isinstance(refused, Unknown)
+    assert refused.why is Why.UNCONSTRAINED
