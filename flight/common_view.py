@@ -15,7 +15,12 @@ from drivers.interfaces import Frame
 from flight.config import MissionConfig
 from path.arrays import Array
 from path.camera.model import CameraModel
-from path.common_view.estimate import CommonView, Settings, common_view
+from path.common_view.estimate import (
+    ERROR_OF_YAW_RAD,
+    CommonView,
+    Settings,
+    common_view,
+)
 from path.common_view.keyframe import Keyframe
 from path.common_view.parts import KeyframeSource, part_count
 from path.common_view.read import SENT, RgbdCamera, Size, read_keyframe
@@ -34,6 +39,8 @@ REPORTED_MPS = 0.015
 """By how much a drone's reported place is off where it was, in a second, besides."""
 FLOWN = Settings(least_corners=8)
 """In flight, over floors: those that were off by 0.9 to 3.2 m had two corners at the most."""
+COMMON_SHARE = 0.03
+"""Of the range: what lasts in a common view, of both depths and of D1's reported places."""
 SURE_TIMES = 3.0
 """Of the filter's standard deviation, that of a prior."""
 WITHIN_SIGMAS = 2.0
@@ -89,18 +96,23 @@ def prior_of(way_n_m: Array, mission: MissionConfig) -> Prior:
     return Prior(0.0, HEADINGS_SIGMA_RAD, way_n_m, sigma)
 
 
-def prior_by(relative: Relative, marker_l1: Array, R_n_c: Matrix, R_n_v: Matrix) -> Prior:
-    """Return the same by where the filter has the marker: wide enough not to count it twice.
+def prior_by(
+    relative: Relative, marker_l1: Array, R_n_c: Matrix, R_n_v: Matrix, range_m: float
+) -> Prior:
+    """Return the same by where the filter has the marker: wide enough not to count it twice, and
+    for a common view that errs more than a marker.
 
     Args:
+        range_m: of what is looked at.
         marker_l1: from D1's camera, when its keyframe was taken, to the marker now, in ``n``.
         R_n_c, R_n_v: attitudes of D2's camera and of the marker, by their drones.
     """
     T_c_v = relative.T_c_v
     R_l1_l2 = R_n_v @ T_c_v.R.T @ R_n_c.T
     way = marker_l1 - R_n_v @ (T_c_v.R.T @ T_c_v.t)
-    sigma = np.full(3, SURE_TIMES * relative.sigma_m)
-    turn_rad = math.sqrt(float(np.trace(relative.covariance[3:, 3:])) / 3.0)
+    sigma = np.full(3, SURE_TIMES * math.hypot(relative.sigma_m, COMMON_SHARE * range_m))
+    turn2 = float(np.trace(relative.covariance[3:, 3:])) / 3.0
+    turn_rad = math.sqrt(turn2 + ERROR_OF_YAW_RAD**2)
     yaw_rad = math.atan2(R_l1_l2[1, 0], R_l1_l2[0, 0])
     return Prior(yaw_rad, min(HEADINGS_SIGMA_RAD, SURE_TIMES * turn_rad), way, sigma)
 

@@ -63,11 +63,11 @@ def test_what_the_filter_knows_is_a_prior_where_it_has_the_marker_and_three_time
     covariance = np.diag([1.0, 1.0, 1.0, 0.01, 0.01, 0.01]) * 0.0016
     seen = Relative((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.04, T_n_c2.inverse() @ T_n_v, covariance)
     # D2 takes another direction for north.
-    prior = prior_by(seen, T_n_v.t - T_n_c1.t, heading @ T_n_c2.R, T_n_v.R)
+    prior = prior_by(seen, T_n_v.t - T_n_c1.t, heading @ T_n_c2.R, T_n_v.R, 1.0)
     np.testing.assert_allclose(prior.t_m, T_n_c2.t - T_n_c1.t, atol=1e-9)
-    np.testing.assert_allclose(prior.t_sigma_m, 0.12)
+    np.testing.assert_allclose(prior.t_sigma_m, 0.15)
     assert prior.yaw_rad == pytest.approx(-0.06)
-    assert prior.yaw_sigma_rad == pytest.approx(0.012)
+    assert prior.yaw_sigma_rad == pytest.approx(3.0 * math.hypot(0.004, math.radians(0.6)))
 
 
 def test_a_lens_that_bends_is_straightened_before_a_keyframe_is_made() -> None:

@@ -215,7 +215,9 @@ class CommonViews:
         relative = self._marker.predict(look.frame.stamp_ns, look.T_n_c.R, look.R_n_v)
         if relative is not None:
             marker_l1 = first.R_l_c @ self._T_c1_v.t + flown_n_m
-            return prior_by(relative, marker_l1, look.T_n_c.R, look.R_n_v)
+            depth = first.grid.depth[first.grid.depth > 0.0]
+            range_m = float(np.median(depth)) if depth.size else 0.0
+            return prior_by(relative, marker_l1, look.T_n_c.R, look.R_n_v, range_m)
         R_n_b1 = first.R_l_c @ self._mount.T_b_c.R.T
         camera_m = self._peer_at(self._first_ns) + R_n_b1 @ self._mount.T_b_c.t
         return prior_of(look.T_n_c.t - camera_m, self._session.config)
