@@ -239,6 +239,8 @@ class RelativeFilter:
             STALE when it is no newer than the newest one, and, where measurements may come late, no
             newer than all that is remembered. It is not used then.
         """
+        if source is Source.COMMON_VIEW:
+            stamp_ns -= 1  # just before the marker that may be in the same frame
         seen = self._seen(stamp_ns, T_c_v, covariance, np.ascontiguousarray(R_n_c), R_n_v)
         since = [each for each in self._measured if each.seen.stamp_ns > stamp_ns]
         if not since:

@@ -91,3 +91,11 @@ def test_three_common_views_that_agree_replace_a_pose_that_they_contradict() -> 
     seen = filtered.predict(times[-1])
     assert seen is not None
     assert seen.marker_n_m[0] == pytest.approx(3.5, abs=0.05)
+
+
+def test_a_marker_and_a_common_view_of_one_frame_both_count() -> None:
+    filtered = still()
+    for k in range(30):
+        assert marker(filtered, k * FRAME_NS, 1.0) is None
+    assert common(filtered, 20 * FRAME_NS, 1.0) is None
+    assert filtered.source is Source.MARKER
