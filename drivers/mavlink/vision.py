@@ -62,6 +62,7 @@ class VisionFeed:
         self.sent = 0
         self.origin_sent = False
         self._rests_since_ns: int | None = None
+        self._newest_us = -1
 
     async def run(self) -> None:
         """Raise BeaconError for beacons that cannot be opened, VehicleError when nothing can be
@@ -88,6 +89,11 @@ class VisionFeed:
             or fix.host_ns is None
         ):
             return
+        # A packet that came sooner than any before tells that the beacons' clock was taken for too
+        # late: what it stamps may lie before what was said. An estimator takes no time twice.
+        if fix.host_ns // 1000 <= self._newest_us:
+            return
+        self._newest_us = fix.host_ns // 1000
         self._session.send("VISION_POSITION_ESTIMATE", self._estimate(fix, fix.host_ns))
         self.sent += 1
         if not self.origin_sent and self._at_rest(fix.host_ns):

@@ -43,7 +43,7 @@ def test_a_relief_takes_over_and_a_terminal_that_goes_away_lands_everybody_and_l
     flown_again: Repeating,
 ) -> None:
     out, summary = flown_again(fly)
-    assert (summary["outcome"], summary["violations"]) == ("interrupted", {}), summary["notes"]
+    assert (summary["outcome"], summary["monitors"]) == ("interrupted", {}), summary["notes"]
     assert summary["gap_s"]["max"] < summary["gap_bound_s"]
     record = json.loads((out / "relay.json").read_text())
     (leg,) = record["legs"]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from random import Random
@@ -244,23 +244,39 @@ def nonsense(message: Message, rng: Random) -> bytes | None:
     means something.
     """
     kind = KINDS[type(message)]
-    values = dict(zip(kind.ordered_fieldnames, TO_WIRE[type(message)](message), strict=True))
+    values = _named(kind, TO_WIRE[type(message)](message))
     for _ in range(TRIES):
         name = rng.choice(kind.fieldnames)
         altered = values | {name: _values(kind, rng)[name]}
         if _meaning(kind, altered) is None:
-            packed: bytes = kind.unpacker.pack(*[altered[each] for each in kind.ordered_fieldnames])
-            return packed
+            return _packed(kind, altered)
     return None
 
 
-def _values(kind: type[Any], rng: Random) -> dict[str, int]:
+def _values(kind: type[Any], rng: Random) -> dict[str, Any]:
     """Any bits."""
-    payload = kind.unpacker.unpack(rng.randbytes(kind.unpacker.size))
-    return dict(zip(kind.ordered_fieldnames, payload, strict=True))
+    return _named(kind, kind.unpacker.unpack(rng.randbytes(kind.unpacker.size)))
 
 
-def _meaning(kind: type[Any], values: dict[str, int]) -> Message | None:
+def _named(kind: type[Any], numbers: Iterable[Any]) -> dict[str, Any]:
+    """A payload's numbers by their fields; an array's are a list."""
+    left = iter(numbers)
+    lengths = zip(kind.ordered_fieldnames, kind.array_lengths, strict=True)
+    return {
+        name: [next(left) for _ in range(length)] if length else next(left)
+        for name, length in lengths
+    }
+
+
+def _packed(kind: type[Any], values: dict[str, Any]) -> bytes:
+    numbers: list[int] = []
+    for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
+        numbers += values[name] if length else [values[name]]
+    packed: bytes = kind.unpacker.pack(*numbers)
+    return packed
+
+
+def _meaning(kind: type[Any], values: dict[str, Any]) -> Message | None:
     try:
         return FROM_WIRE[kind](kind(**values))
     except OutOfRange:

@@ -7,13 +7,15 @@ from __future__ import annotations
 import asyncio
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Self
 
 import pytest
 
-from drivers.interfaces import VehicleError
+from drivers.interfaces import BeaconFix, VehicleError
+from drivers.mavlink import vision as vision_module
 from drivers.mavlink.modes import ARDUPILOT, PX4, AutopilotKind
-from drivers.mavlink.vision import VisionConfig, beacon_in_n, origin_fields
+from drivers.mavlink.vision import VisionConfig, VisionFeed, beacon_in_n, origin_fields
 from drivers.rig.parts import PartSpec
 from hil.beacons import marvelmind_bytes as sent
 from hil.beacons.pty import SerialCable
@@ -88,6 +90,50 @@ def test_positions_reach_the_autopilot_and_then_its_origin(tmp_path: Path) -> No
 
     run(test(), within_s=120.0)
     cable.unplug()
+
+
+class Listed:
+    """Beacons whose positions are at these instants of this computer's clock, ms."""
+
+    def __init__(self, at_ms: list[int]) -> None:
+        self._at_ms = at_ms
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None: ...
+
+    async def read(self, _timeout_s: float) -> BeaconFix | None:
+        if not self._at_ms:
+            return None
+        return BeaconFix(0, 5, (0.0, 0.0, 0.0), 90.0, self._at_ms.pop(0) * 1_000_000)
+
+
+def test_no_instant_is_told_twice_nor_after_a_later_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As when a late packet is followed by one in time: the beacons' clock is known better then."""
+    listed = Listed([100, 160, 130, 160, 190])
+
+    def created(*_: object) -> Listed:
+        return listed
+
+    monkeypatch.setattr(vision_module, "create", created)
+    told: list[int] = []
+
+    def send(_name: str, fields: dict[str, Any]) -> None:
+        told.append(fields["usec"])
+
+    def attitude_at(_now_ns: int) -> tuple[float, ...]:
+        return 1.0, 0.0, 0.0, 0.0
+
+    session: Any = SimpleNamespace(send=send)
+    resting: Any = SimpleNamespace(
+        health={}, velocity_n_mps=(0.0, 0.0, 0.0), attitude_at=attitude_at
+    )
+    context: Any = SimpleNamespace(origin=ORIGIN)
+    feed = VisionFeed(VisionConfig(NOBODY, 5), context, session, resting)
+    asyncio.run(feed.run())
+    assert told == [100_000, 160_000, 190_000]
+    assert feed.sent == 3
 
 
 @pytest.mark.parametrize(
