@@ -222,8 +222,8 @@ class Groups(LoadScopeScheduling):
     def mark_test_complete(self, node: Any, item_index: int, duration: float = 0) -> None:
         flew = self._flying()
         super().mark_test_complete(node, item_index, duration)
-        if flew:
-            self._after_flights()
+        if flew and not self._flying():
+            self._everybody_goes_on()
 
     def remove_node(self, node: Any) -> str | None:
         """Give others what a worker that ended has not done; return the test that it died in.
@@ -231,7 +231,6 @@ class Groups(LoadScopeScheduling):
         That test has failed and is not given to anybody: xdist would have one worker after the
         other die of it.
         """
-        flew = self._flying()
         groups = self.assigned_work.pop(node)
         left = [
             (tests, test) for tests in groups.values() for test, done in tests.items() if not done
@@ -243,20 +242,15 @@ class Groups(LoadScopeScheduling):
         self.workqueue.update(
             (group, tests) for group, tests in groups.items() if not all(tests.values())
         )
-        for each in self.nodes:
-            self._reschedule(each)
-        if flew:
-            self._after_flights()
+        self._everybody_goes_on()
         return died_in
 
-    def _after_flights(self) -> None:
-        """Give everybody work as soon as the last flight is down."""
-        if self._flying():
-            return
-        self._file.unlink(missing_ok=True)
-        for _ in range(2):  # a worker runs its last test only when it has one to come
-            for each in self.nodes:
-                self._reschedule(each)
+    def _everybody_goes_on(self) -> None:
+        """Give everybody work, and tell the workers once the last flight is down."""
+        if not self._flying():
+            self._file.unlink(missing_ok=True)
+        for each in self.nodes:
+            self._reschedule(each)
 
     def _reschedule(self, node: Any) -> None:
         """Give a worker as much as it needs to go on; nothing while it does not know its tests.

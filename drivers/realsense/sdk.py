@@ -158,8 +158,8 @@ class RealSenseDevice:
 def stop(running: Sequence[Any], playback: Any | None) -> None:
     """Stop and close sensors, those of a recording once it stands still.
 
-    librealsense's thread that plays would else give a frame to a sensor whose callback is gone,
-    and take the program with it (librealsense's issue 9446).
+    librealsense's thread that plays could else give a frame to a sensor whose callback is gone,
+    and take the program with it.
     """
     if playback is not None:
         with suppress(RuntimeError):

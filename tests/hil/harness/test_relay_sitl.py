@@ -28,6 +28,7 @@ from hil.monitors.hindsight import Hindsight
 from hil.world.faults import Fault, parse_fault
 from missions.ground import rig_library
 from path.messages import Role
+from tests.doubles import NoLog
 
 
 @pytest.fixture(scope="module")
@@ -226,11 +227,6 @@ def test_a_run_without_findings_is_reported_too(rig: Rig, tmp_path: Path) -> Non
 
 def test_the_parent_knows_a_record_from_other_lines(capsys: pytest.CaptureFixture[str]) -> None:
     from missions.fly.fleet.process import RelayedLog  # noqa: PLC0415 (what it says is all that is asked for)
-
-    class NoLog:
-        def write(self, topic: str, stamp_ns: int, record: Any) -> None: ...
-
-        def image(self, topic: str, stamp_ns: int, image: Any) -> None: ...
 
     RelayedLog(NoLog(), "D1", whole=False).write("/phase", 1, {"phase": "follow"})
     assert capsys.readouterr().out.encode().startswith(RECORD)
