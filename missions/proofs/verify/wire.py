@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from random import Random
@@ -21,7 +21,7 @@ from typing import Any, TextIO
 from rich.table import Table
 
 from drivers.clock import busy_ns
-from drivers.link.fields import FROM_WIRE, KINDS, TO_WIRE
+from drivers.link.fields import FROM_WIRE, KINDS, NAMED, TO_WIRE
 from drivers.link.units import OutOfRange
 from drivers.link.wire import KEY_LENGTH, Codec, Drop
 from missions.ground.work import Work
@@ -258,14 +258,10 @@ def _values(kind: type[Any], rng: Random) -> dict[str, Any]:
     return _named(kind, kind.unpacker.unpack(rng.randbytes(kind.unpacker.size)))
 
 
-def _named(kind: type[Any], numbers: Iterable[Any]) -> dict[str, Any]:
-    """A payload's numbers by their fields; an array's are a list."""
-    left = iter(numbers)
-    lengths = zip(kind.ordered_fieldnames, kind.array_lengths, strict=True)
-    return {
-        name: [next(left) for _ in range(length)] if length else next(left)
-        for name, length in lengths
-    }
+def _named(kind: type[Any], numbers: Sequence[int]) -> dict[str, Any]:
+    """Return a payload's numbers by their fields."""
+    named: dict[str, Any] = NAMED[kind](numbers)._asdict()
+    return named
 
 
 def _packed(kind: type[Any], values: dict[str, Any]) -> bytes:
