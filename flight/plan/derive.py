@@ -79,7 +79,7 @@ class Derived:
     limit: str = ""
 
 
-COMMON_SHARE = 0.04
+COMMON_OFFSET_SHARE = 0.04
 COMMON_MOST_SHARE = 0.05
 """Of D1's range: what a pose by common views errs per axis, and the most that it may be said to: as
 it was in a drawn flight (docs/common-view.md)."""
@@ -110,7 +110,7 @@ def derive_rest(facts: Facts, named: Named, placed: Layout) -> tuple[Derived, ..
     found = _Found(named)
     if facts.method.common_view:
         usual_m = facts.method.evidence.offset_sigma_m
-        offset_m = math.hypot(usual_m, COMMON_SHARE * placed.range_m)
+        offset_m = math.hypot(usual_m, COMMON_OFFSET_SHARE * placed.range_m)
         found.add("method.evidence.offset_sigma_m", offset_m, "m", "with a pose by common views")
         _common_view(placed, found)
     _blocks(facts, placed, found)
@@ -357,7 +357,7 @@ def _method(facts: Facts, found: _Found) -> None:
         return
     offset_m = predict(facts, placed).offset_sigma_m
     if facts.method.common_view:
-        offset_m = math.hypot(offset_m, COMMON_SHARE * placed.range_m)
+        offset_m = math.hypot(offset_m, COMMON_OFFSET_SHARE * placed.range_m)
         _common_view(placed, found)
     found.add("method.evidence.offset_sigma_m", offset_m, "m", "all errors that last, there")
     found.add(

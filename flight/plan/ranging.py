@@ -63,11 +63,16 @@ def _by_own_height(facts: Facts, range_m: float, target_h: Floats) -> Depth | No
     x, y, z = T_b_c.inverse().apply(target_h).tolist()
     gx, gy, gz = T_b_c.R[2].tolist()
     sight = Sight((x / z, y / z, 1.0), (gx, gy, gz))
+    return _over_ground(facts, range_m, sight, facts.height_sigma_m, RangeSource.GROUND)
+
+
+def _over_ground(
+    facts: Facts, range_m: float, sight: Sight, known_m: float, source: RangeSource
+) -> Depth | None:
+    """Return the range by a height over the ground that is known so well, m."""
     pixels = facts.method.pixel_sigma_px / facts.sender.camera.fy
     angle = math.hypot(facts.attitude_sigma_rad, pixels)
-    above_m = range_m * sight.sinking
-    source = RangeSource.GROUND
-    return by_ground(above_m, facts.height_sigma_m, angle, sight, _body(facts), source)
+    return by_ground(range_m * sight.sinking, known_m, angle, sight, _body(facts), source)
 
 
 def _sight(facts: Facts) -> Sight:
@@ -90,11 +95,7 @@ def _ground(facts: Facts, range_m: float) -> Depth | None:
     )
     known_m = height.rangefinder_sigma_m if reaches else height.drift_m * math.sqrt(FLOWN_MIN)
     source = RangeSource.RANGEFINDER if reaches else RangeSource.GROUND
-    pixels = facts.method.pixel_sigma_px / facts.sender.camera.fy
-    angle = math.hypot(facts.attitude_sigma_rad, pixels)
-    return by_ground(
-        above_m, math.hypot(known_m, height.uneven_m), angle, sight, _body(facts), source
-    )
+    return _over_ground(facts, range_m, sight, math.hypot(known_m, height.uneven_m), source)
 
 
 def _size(facts: Facts, range_m: float, measured: bool) -> Depth | None:

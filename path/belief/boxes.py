@@ -192,8 +192,7 @@ def _edges(track: ObjectTrack, measured: Measured) -> tuple[Array, Array, Array]
     """
     times = max(_times_as_far(track.motion.place_m, measured), 1e-9)
     across = measured.axes[:, :2]
-    seen_m = measured.eye_m + (track.motion.place_m - measured.eye_m) / times
-    middle = across.T @ (seen_m - measured.place_m)
+    middle = _beside(track.motion.place_m, measured, times)
     half = 0.5 * track.sides_m(measured.most_m) / times
     known = np.einsum("ij,ik,kj->j", across, track.motion.place_covariance_m2, across)
     return middle - half, middle + half, known / times**2 + half**2 * track.size_variances
@@ -238,8 +237,7 @@ def inside(motion: Motion, measured: Measured) -> float:
     if not times > 0.0:
         return 0.0
     across = measured.axes[:, :2]
-    seen_m = measured.eye_m + (motion.place_m - measured.eye_m) / times
-    off = across.T @ (seen_m - measured.place_m)
+    off = _beside(motion.place_m, measured, times)
     spread = np.sqrt(2.0 * np.diag(across.T @ motion.place_covariance_m2 @ across)) / times
     half = 0.5 * np.asarray(measured.sides_m)
     either = 1.0
@@ -281,3 +279,11 @@ def _times_as_far(place_m: Array, measured: Measured) -> float:
     ahead = measured.axes[:, 2]
     box_m = float(ahead @ (measured.place_m - measured.eye_m))
     return float(ahead @ (place_m - measured.eye_m)) / box_m
+
+
+def _beside(place_m: Array, measured: Measured, times: float) -> Array:
+    """Return where a place so many times as far as a box is seen, right and down of the box's
+    middle at its range.
+    """
+    seen_m = measured.eye_m + (place_m - measured.eye_m) / times
+    return measured.axes[:, :2].T @ (seen_m - measured.place_m)
