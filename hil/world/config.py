@@ -85,7 +85,7 @@ class SceneConfig:
     """The ``[world.scene]`` table of a rig, for levels that draw frames.
 
     Attributes:
-        name: of the scene (docs/scenes.md); "plain" is soil in a soft light without shadows.
+        name: of the scene (docs/errors.md); "plain" is soil in a soft light without shadows.
         crates: printed boxes that lie about beside the target's way, at ``sim-rendered``.
     """
 

@@ -193,8 +193,7 @@ def table() -> str:
     refused = {name: found for name in names() if (found := refusals(name))}
     flown_ones = {name: each for name, each in every.items() if name not in refused}
     head = (
-        "| system | what it is | handed over | agreement, s: plan, flown | D2, mm | target, mm |\n"
-        "|---|---|---|---|---|---|\n"
+        "| system | what it is | handed over | agreement, s: plan, flown |\n|---|---|---|---|\n"
     )
     rows = "".join(_row(name, found) for name, found in sorted(flown_ones.items()))
     wrong = sum(found.wrong for found in every.values())
@@ -203,10 +202,10 @@ def table() -> str:
         f"- {_described(name)}: {found[0].split('; ')[-1]}\n" for name, found in refused.items()
     )
     waiting = [_described(name) for name in names() if name not in refused and name not in every]
+    still = f"\nNot flown yet: {'; '.join(waiting)}.\n" if waiting else ""
     return (
         f"{head}{rows}\nWrong objects: {wrong} of {runs} flights. {_held(every)}\n\n"
-        f"Refused by `plan`, and what would do:\n\n{fixes}\n"
-        f"Not flown yet: {'; '.join(waiting) or 'none'}.\n"
+        f"Refused by `plan`, and what would do:\n\n{fixes}{still}"
     )
 
 
@@ -247,18 +246,15 @@ def _row(name: str, found: Kept) -> str:
     others |= found.violations
     if found.lost > others.get("lost_after_taking_over", 0):
         others["lost after taking over"] = found.lost
-    agreement = _pair(expected.get("agreement_s"), found.agreement_s, 1.0, ".1f")
-    receiver = _pair(expected.get("receiver_error_m"), found.receiver_m, 1e3, ".0f")
-    target = _pair(expected.get("target_error_m"), found.target_m, 1e3, ".0f")
+    agreement = _pair(expected.get("agreement_s"), found.agreement_s)
     committed = f"{found.outcomes.get('committed', 0)} of {found.runs}"
     ends = "; ".join([committed, *(f"{count} `{what}`" for what, count in others.items())])
-    cells = (_described(name).replace(", ", " | ", 1), ends, agreement, receiver, target)
+    cells = (_described(name).replace(", ", " | ", 1), ends, agreement)
     return f"| {' | '.join(cells)} |\n"
 
 
-def _pair(expected: float | None, measured: float | None, times: float, form: str) -> str:
-    shown = ["–" if each is None else format(times * each, form) for each in (expected, measured)]
-    return ", ".join(shown)
+def _pair(expected: float | None, measured: float | None) -> str:
+    return ", ".join("–" if each is None else f"{each:.1f}" for each in (expected, measured))
 
 
 def written(page: str) -> str:

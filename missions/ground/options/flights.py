@@ -57,7 +57,7 @@ class HandoffOptions(RigChoice):
 
     scene: str | None = None
     """At `sim-rendered`: the scene that the cameras see, such as outdoor-sun or dusk
-    (docs/scenes.md).
+    (docs/errors.md).
     """
 
     out: RunFolder = None

@@ -112,7 +112,7 @@ class ExportOptions:
 @frozen
 class ViewOptions:
     """Look at a run in Rerun: the scene, both images, plots, words. Needs the extra `view`
-    (docs/view.md).
+    (docs/logs.md).
     """
 
     logs: Annotated[

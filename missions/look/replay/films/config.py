@@ -36,7 +36,7 @@ class FilmTable:
     """One drone's recording.
 
     Attributes:
-        film: a video file, a folder of images, or frames that PATH recorded (docs/recordings.md).
+        film: a video file, a folder of images, or frames that PATH recorded (docs/cameras.md).
         calibration: of the camera, as `path-handoff calibrate camera` writes it.
         stamps, depth, rate_hz, topic: as in ``drivers.recordings.recording.RecordingOptions``.
         depth_unit_mm: of one step of the depth images.
