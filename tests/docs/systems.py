@@ -192,9 +192,7 @@ def table() -> str:
     every = {name: together(series) for name, series in kept().items()}
     refused = {name: found for name in names() if (found := refusals(name))}
     flown_ones = {name: each for name, each in every.items() if name not in refused}
-    head = (
-        "| system | what it is | handed over | agreement, s: plan, flown |\n|---|---|---|---|\n"
-    )
+    head = "| system | what it is | handed over | agreement, s: plan, flown |\n|---|---|---|---|\n"
     rows = "".join(_row(name, found) for name, found in sorted(flown_ones.items()))
     wrong = sum(found.wrong for found in every.values())
     runs = sum(found.runs for found in every.values())
