@@ -32,6 +32,7 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any
 
+from drivers.rig.obstacle import Obstacle
 from path.bounds import Bounds
 from path.values import frozen
 
@@ -91,7 +92,8 @@ class SiteFacts:
             none.
         ceiling_m: above the ground; None: there is none.
         position_m: standard deviation per axis of where the drones take themselves to be in flight;
-            walls are kept from by twice that besides.
+            walls and obstacles are kept from by twice that besides.
+        obstacles: what stands in the way, as far as the crew knows.
     """
 
     wind_mps: Annotated[float, Bounds(0.0, 30.0)] = 1.5
@@ -99,6 +101,7 @@ class SiteFacts:
     corners_m: Annotated[tuple[tuple[float, float], ...], Bounds(-1000.0, 1000.0)] = ()
     ceiling_m: Annotated[float | None, Bounds(1.0, 120.0)] = None
     position_m: Annotated[float, Bounds(0.0, 20.0)] = 0.5
+    obstacles: tuple[Obstacle, ...] = ()
 
 
 @frozen

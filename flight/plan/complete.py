@@ -6,7 +6,7 @@ Called whenever a rig is loaded.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from drivers.rig.facts import DroneFacts, TargetFacts
@@ -52,7 +52,7 @@ def complete(rig: Rig) -> Rig:
         else:
             method = _method_with(method, key, each.value)
     mission = _with_site(mission, rig)
-    world = _with_rangefinder(rig, _with_body(rig))
+    world = _with_obstacles(rig, _with_rangefinder(rig, _with_body(rig)))
     if mission == rig.mission and method == rig.method and world == rig.world and rig.depth is None:
         return rig
     return replace(
@@ -75,7 +75,8 @@ def _with_site(mission: dict[str, Any], rig: Rig) -> dict[str, Any]:
     if site is None:
         return mission
     drone = rig.drone or DroneFacts()
-    if site.corners_m and "mission.guard.clear_m" not in rig.named:
+    has_limits = site.corners_m or site.obstacles
+    if has_limits and "mission.guard.clear_m" not in rig.named:
         mission = _with(mission, "guard.clear_m", drone.hold_m + POSITION_SIGMAS * site.position_m)
     if site.corners_m and "mission.guard.corners_m" not in rig.named:
         mission = _with(mission, "guard.corners_m", site.corners_m)
@@ -119,6 +120,14 @@ def _with_rangefinder(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
         return world
     own = {"max_m": height.rangefinder_max_m, "min_m": height.rangefinder_min_m}
     return {**world, "rangefinder": {**own, **world.get("rangefinder", {})}}
+
+
+def _with_obstacles(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a simulated world in which the site's obstacles stand."""
+    if rig.site is None or not rig.site.obstacles or rig.harness is None:
+        return world
+    known = [asdict(each) for each in rig.site.obstacles]
+    return {**world, "obstacles": {"known": known, **world.get("obstacles", {})}}
 
 
 def body_of(target: TargetFacts) -> dict[str, Any]:

@@ -72,7 +72,8 @@ def ray(lens, u, v):
 @inner
 def _place_box(R, t, parts, part, lens, boxes, k, extents, body):
     """Box ``part`` of a body with pose R, t (body to camera): fills its row ``k`` and widens the
-    body's extent.
+    body's extent, unless a corner is behind the camera or beyond its lens. Returns how many are
+    behind, and how many beyond.
     """
     for i in range(3):  # box coordinates = axes^T R^T (p_c - t) - axes^T centre
         for j in range(3):
@@ -107,36 +108,38 @@ def _place_box(R, t, parts, part, lens, boxes, k, extents, body):
     half_x = parts[part, 3]
     half_y = parts[part, 4]
     half_z = parts[part, 5]
-    near = extents[body, NEAR]
     widest = lens[11] * lens[11]
-    x0 = np.inf
-    y0 = np.inf
-    x1 = -np.inf
-    y1 = -np.inf
+    x0 = y0 = np.inf
+    x1 = y1 = -np.inf
+    near = extents[body, NEAR]
+    behind = outside = 0
     for corner in range(8):
         p = (half_x if corner & 1 else -half_x) - ex
         q = (half_y if corner & 2 else -half_y) - ey
         r = (half_z if corner & 4 else -half_z) - ez
         z = xz * p + yz * q + zz * r
         if z < NEAREST_M:
-            extents[body, NEAR], extents[body, DRAWN] = near, 0.0
-            return
+            behind += 1
+            continue
         x = (xx * p + yx * q + zx * r) / z
         y = (xy * p + yy * q + zy * r) / z
         if x * x + y * y > widest:
-            extents[body, NEAR], extents[body, DRAWN] = near, 0.0
-            return
+            outside += 1
+            continue
         u, v = distorted(lens, x, y)
         x0 = min(x0, u)
         y0 = min(y0, v)
         x1 = max(x1, u)
         y1 = max(y1, v)
         near = min(near, z)
+    if behind + outside > 0:
+        return behind, outside
     extents[body, NEAR] = near
     extents[body, X0], extents[body, Y0] = min(extents[body, X0], x0), min(extents[body, Y0], y0)
     extents[body, X1], extents[body, Y1] = max(extents[body, X1], x1), max(extents[body, Y1], y1)
     boxes[k, RECT], boxes[k, RECT + 1] = x0 - MARGIN_PX, y0 - MARGIN_PX
     boxes[k, RECT + 2], boxes[k, RECT + 3] = x1 + MARGIN_PX, y1 + MARGIN_PX
+    return behind, outside
 
 
 @inner
@@ -153,12 +156,50 @@ def _place_body(R_c_w, eye, R_w, at, row, parts, lens, boxes, first, extents, bo
             R[i, j] = R_c_w[i, 0] * R_w[0, j] + R_c_w[i, 1] * R_w[1, j] + R_c_w[i, 2] * R_w[2, j]
             t[i] += R_c_w[i, j] * (at[row, j] - eye[j])
     for part in range(parts.shape[0]):
-        _place_box(R, t, parts, part, lens, boxes, first + part, extents, body)
+        behind, outside = _place_box(R, t, parts, part, lens, boxes, first + part, extents, body)
+        if behind + outside > 0:
+            extents[body, DRAWN] = 0.0
+
+
+@inner
+def _place_standing(R_c_w, eye, standing, lens, boxes, first, extents, body, drone):
+    """Add boxes of the world to the last body, the other drone, which has ``drone`` boxes before
+    them. One that surrounds the camera in part may be anywhere in the image.
+    """
+    if extents[body, DRAWN] == 0.0:
+        for k in range(first - drone, first):
+            boxes[k, RECT] = np.inf
+    extents[body, DRAWN] = 1.0
+    t = np.empty(3)
+    for i in range(3):
+        t[i] = -(R_c_w[i, 0] * eye[0] + R_c_w[i, 1] * eye[1] + R_c_w[i, 2] * eye[2])
+    for part in range(standing.shape[0]):
+        k = first + part
+        behind, outside = _place_box(R_c_w, t, standing, part, lens, boxes, k, extents, body)
+        if behind == 8:
+            boxes[k, RECT] = np.inf
+        elif behind + outside > 0:
+            for side in range(2):
+                boxes[k, RECT + side] = extents[body, X0 + side] = -np.inf
+                boxes[k, RECT + 2 + side] = extents[body, X1 + side] = np.inf
 
 
 @kernel
 def place(
-    R_w_b, t_w_b, R_b_c, t_b_c, lens, things, car, other_R, other_t, drone, boxes, extents, frame
+    R_w_b,
+    t_w_b,
+    R_b_c,
+    t_b_c,
+    lens,
+    things,
+    car,
+    other_R,
+    other_t,
+    drone,
+    standing,
+    boxes,
+    extents,
+    frame,
 ):
     """Put every body before the camera.
 
@@ -168,8 +209,9 @@ def place(
             axes of its boxes, or (n b, 15) when each has its own.
         other_R, other_t: the other drone in the world; drone: (d, 15) its boxes, none when there is
             no other drone.
-        boxes: (n b + d, BOX_COLUMNS), extents: (n + 1, EXTENT_COLUMNS): filled, car by car, the
-            other drone last.
+        standing: (m, 15) boxes of the world, none of them an object.
+        boxes: (n b + d + m, BOX_COLUMNS), extents: (n + 1, EXTENT_COLUMNS): filled, car by car, the
+            other drone last, and with it what stands there.
         frame: (12,) filled: rotation world to camera by rows, the camera's centre in the world.
     """
     R_c_w = np.empty((3, 3))
@@ -187,7 +229,7 @@ def place(
     t = np.empty(3)
     turn[2, 2] = 1.0
     cars = things.shape[0]
-    per_car = (boxes.shape[0] - drone.shape[0]) // max(cars, 1)
+    per_car = (boxes.shape[0] - drone.shape[0] - standing.shape[0]) // max(cars, 1)
     for body in range(cars):
         turn[0, 0] = turn[1, 1] = math.cos(things[body, 3])
         turn[1, 0] = math.sin(things[body, 3])
@@ -199,6 +241,9 @@ def place(
     _place_body(
         R_c_w, eye, other_R, other_t.reshape(1, 3), 0, drone, lens, boxes, cars * per_car, extents, cars, R, t
     )  # fmt: skip
+    if standing.shape[0] > 0:
+        first = boxes.shape[0] - standing.shape[0]
+        _place_standing(R_c_w, eye, standing, lens, boxes, first, extents, cars, drone.shape[0])
 
 
 @inner

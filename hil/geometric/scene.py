@@ -13,11 +13,13 @@ from hil.geometric import kernels, targets
 from hil.render.bodies.kinds import BOXES
 from hil.render.bodies.walking import boxes_of_a_walker
 from hil.render.scene import SOLID, Model, drone, marked_drone
+from hil.world.clutter import Crate
 from hil.world.gait import OWN_PHASE
 from hil.world.snapshot import AS_IT_IS, ObjectTruth, Snapshot, TargetKind
 from path.arrays import Array
 from path.camera.kernels import lens_of
 from path.camera.model import CameraModel
+from path.geometry.rotation import R_from_yaw
 from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Role, Vec3
@@ -97,8 +99,8 @@ STILL = Pose(np.eye(3), np.zeros(3))
 
 @value
 class Placed:
-    """The bodies of one instant before one camera; columns as in ``hil.geometric.kernels``. The
-    other drone is last.
+    """The bodies of one instant before one camera; columns as in ``hil.geometric.kernels``. Last
+    is what is no object: the other drone and all obstacles, as one body.
 
     ``per_object``: boxes of every object.
     """
@@ -136,14 +138,30 @@ def place(
         shape = np.concatenate(
             [_walking(thing, later_s, snapshot.stretch) for thing in snapshot.objects]
         )
-    boxes = np.empty((count * per_object + len(parts), kernels.BOX_COLUMNS))
+    standing = boxes_of(snapshot.obstacles)
+    boxes = np.empty((count * per_object + len(parts) + len(standing), kernels.BOX_COLUMNS))
     extents = np.empty((count + 1, kernels.EXTENT_COLUMNS))
     frame = np.empty(kernels.FRAME_COLUMNS)
     kernels.place(
         own.R, own.t, setup.T_b_c.R, setup.T_b_c.t, setup.lens, things, shape, other.R, other.t, parts,
-        boxes, extents, frame,
+        standing, boxes, extents, frame,
     )  # fmt: skip
     return Placed(boxes, extents, frame, per_object)
+
+
+@cache
+def boxes_of(obstacles: tuple[Crate, ...]) -> Array:
+    """Return boxes of the world, (m, 15) as ``parts_of``. Shared: do not change them."""
+    rows = [
+        [
+            *each.place_m,
+            each.floor_m + 0.5 * each.size_m[2],
+            *(0.5 * side for side in each.size_m),
+            *R_from_yaw(each.yaw_rad).ravel(),
+        ]
+        for each in obstacles
+    ]
+    return np.array(rows, float).reshape(-1, 15)
 
 
 def _walking(

@@ -38,7 +38,7 @@ from hil.monitors.scripts import vehicles_of
 from hil.monitors.truth_log import TruthLog
 from hil.world.check import check_world
 from hil.world.config import WorldConfig, drawn_imaging, scene_of
-from hil.world.distances import clearance
+from hil.world.distances import clearance, obstacles_m
 from hil.world.errors import as_built
 from hil.world.estimator import reported
 from hil.world.faults import Fault, parse_faults
@@ -120,6 +120,7 @@ class _Flight(VirtualDrones):
                 self.monitors.min_separation_m,
                 {role: self.drones[role].offset_ns for role in Role},
                 self.world.config.target,
+                self.world.obstacles,
             )
             self.legs.open_leg(LEG, *Role)
             watching = asyncio.create_task(self._watch_truth(truth))
@@ -191,6 +192,7 @@ class _Flight(VirtualDrones):
             truth.modes(world)
             monitors.on_near(world.time_s, world.closest(monitors.min_separation_m))
             monitors.on_target(world.time_s, clearance(world))
+            monitors.on_obstacles(world.time_s, obstacles_m(world))
             ticks += 1
             if ticks % VEHICLES_EVERY == 0:
                 monitors.scripts.on_truth(world.time_s, vehicles_of(world, own))

@@ -77,7 +77,8 @@ class LegMonitor:
 class Monitors:
     """S1 to S11, L1 and L2, of drones by name. Stamps are of the world's clock.
 
-    S1, S8 and S9 are here; S7, S10 and S11 in ``scripts``; the others in the monitors of the legs.
+    S1, S8, S9, and S11 at obstacles, are here; S7, S10, and S11 at walls, in ``scripts``; the
+    others in the monitors of the legs.
 
     Attributes:
         stalls: a program is made to stand still: the bounds in time of programs that run are then
@@ -85,6 +86,7 @@ class Monitors:
         forgotten: a disk has lost a record that it said it had: what was promised of responsibility
             is since then not violated.
         beyond: what broke after one of these.
+        obstacle_m: the least distance of a body to what stood in the way.
         gaps: the gaps between setpoints that were violations of a script that nobody had cut off.
     """
 
@@ -96,6 +98,7 @@ class Monitors:
     details: list[str] = field(default_factory=list[str])
     closest_m: float = math.inf
     closest_pair: tuple[str, ...] = ()
+    obstacle_m: float = math.inf
     stalls: bool = False
     forgotten: bool = False
     beyond: list[str] = field(default_factory=list[str])
@@ -107,6 +110,7 @@ class Monitors:
     _legs: dict[str, LegMonitor] = field(default_factory=dict[str, LegMonitor])
     _near: set[tuple[str, ...]] = field(default_factory=set[tuple[str, ...]])
     _too_close_to_target: bool = False
+    _touching: set[str] = field(default_factory=set[str])
 
     def __post_init__(self) -> None:
         self.scripts = ScriptMonitor(self.violated, self.guard)
@@ -174,6 +178,14 @@ class Monitors:
         if too_close and not self._too_close_to_target:
             self.violated("S9", time_s, f"{nearest_m:.2f} m from the target, below {LEAST_M:.2f} m")
         self._too_close_to_target = too_close
+
+    def on_obstacles(self, time_s: float, nearest_m: Mapping[str, float]) -> None:
+        """True distance in m of each body to what stands in its way (S11); each touch counts once."""
+        touching = {who for who, away_m in nearest_m.items() if away_m <= 0.0}
+        for who in sorted(touching - self._touching):
+            self.violated("S11", time_s, f"{who} touches an obstacle")
+        self._touching = touching
+        self.obstacle_m = min((self.obstacle_m, *nearest_m.values()))
 
     def on_offboard(
         self, who: str, sessions: Iterable[OffboardSession], cut_off_s: Sequence[float] = ()

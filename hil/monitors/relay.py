@@ -23,6 +23,7 @@ from flight.outcome import OBJECT_MONITOR
 from hil.monitors.monitors import Monitors
 from hil.monitors.observed import ObservedTime
 from hil.monitors.scripts import VehicleTruth, pixel_of, vehicles_of
+from hil.world.distances import obstacles_m
 from hil.world.fields import NUMBERS
 from hil.world.snapshot import DroneTruth, ObjectTruth
 from hil.world.world import Fleet
@@ -134,6 +135,7 @@ class RelayMonitors(Monitors):
     def on_truth(self, now_s: float) -> None:
         world = self.world
         self.on_near(now_s, world.closest(self.min_separation_m))
+        self.on_obstacles(now_s, obstacles_m(world))
         since_s = now_s - (now_s if self._truth_s is None else self._truth_s)
         self._truth_s = now_s
         for name in world.airborne:

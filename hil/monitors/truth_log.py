@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from drivers.interfaces import Log
 from drivers.log.topics import camera_record
+from drivers.rig.obstacle import Obstacle
 from drivers.rig.parts import Rig, RoleRig
 from hil.geometric.scene import parts_of
 from hil.world.targets import TargetConfig
@@ -33,6 +35,7 @@ class TruthLog:
         min_separation_m: float,
         clock_offset_ns: Mapping[Role, int],
         target: TargetConfig | None = None,
+        obstacles: Sequence[Obstacle] = (),
     ) -> None:
         """Write what does not change: once, first."""
         own = target or TargetConfig()
@@ -48,6 +51,8 @@ class TruthLog:
             "cameras": {role.value: camera_record(rig.role(role).camera) for role in Role},
             "mounts": {role.value: _mount(rig.role(role)) for role in Role},
         }
+        if obstacles:
+            record["obstacles"] = [asdict(each) for each in obstacles]
         self._log.write("/scene", self._epoch_ns, record)
 
     def truth(self, world: World) -> None:

@@ -366,7 +366,7 @@ class Renderer:
                 )
                 for thing in snapshot.objects
             ]
-            + [crate_body(each) for each in snapshot.crates]
+            + [crate_body(each) for each in (*snapshot.crates, *snapshot.obstacles)]
         )
 
 

@@ -27,14 +27,15 @@ TRIES = 40
 
 @value
 class Crate:
-    """A box on the ground: east and north of its middle, its turn, and its sides, m. ``look``:
-    number of its print.
+    """A box with a print: east and north of its middle, its turn, its sides, and how far it is
+    above the ground, m. ``look``: number of its print.
     """
 
     place_m: Point
     yaw_rad: float
     size_m: Vec3
     look: int
+    floor_m: float = 0.0
 
     @property
     def half_m(self) -> float:

@@ -17,6 +17,7 @@ from hil.world.detector import DetectorConfig
 from hil.world.dynamics import AirframeConfig
 from hil.world.errors import ErrorsConfig, level_of, put_down
 from hil.world.estimator import EstimatorConfig, WindConfig
+from hil.world.obstacles import ObstaclesConfig
 from hil.world.operator import PersonConfig
 from hil.world.rangefinder import RangefinderConfig
 from hil.world.targets import LookAlikeConfig, Point, TargetConfig
@@ -127,6 +128,7 @@ class WorldConfig:
     person: PersonConfig = field(default_factory=PersonConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     look_alikes: LookAlikeConfig = field(default_factory=LookAlikeConfig)
+    obstacles: ObstaclesConfig = field(default_factory=ObstaclesConfig)
     sender_home: HomeConfig = field(default_factory=HomeConfig)
     receiver_home: HomeConfig = field(default_factory=lambda: HomeConfig((1.5, -3.0)))
     sender_simulator: SimulatorConfig | None = None

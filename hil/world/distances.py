@@ -1,5 +1,5 @@
-"""Distances in the world: of a drone from a target that it could hit, and between any number of
-bodies.
+"""Distances in the world: of a drone from a target that it could hit, from what stands in the way,
+and between any number of bodies.
 
 A person, or what flies, can be hit; a car is below every drone. Of many bodies no two are compared
 that are far apart.
@@ -49,6 +49,19 @@ def clearance(world: Fleet) -> float:
             above = max(0.0, abs(-down - z - middle_m) - high_m)
             nearest_m = min(nearest_m, math.hypot(across, above) - DRONE_M)
     return nearest_m
+
+
+def obstacles_m(world: Fleet) -> dict[str, float]:
+    """Return the distance of each body in the air to the nearest obstacle, m; empty without
+    obstacles.
+    """
+    if not world.obstacles:
+        return {}
+    places = {name: world.drone(name).true_position_n_m for name in world.airborne}
+    return {
+        name: min(each.distance_m(place) for each in world.obstacles) - DRONE_M
+        for name, place in places.items()
+    }
 
 
 @frozen

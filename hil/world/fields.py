@@ -16,6 +16,7 @@ import numpy as np
 from hil.world.clutter import Crate
 from hil.world.snapshot import ObjectTruth
 from hil.world.targets import GroundVehicles, LookAlikeConfig, Point, TargetConfig
+from path.arrays import Array
 
 NUMBERS = 100
 # a car farther off is a few pixels at most, above what a camera that looks down has in its image
@@ -62,6 +63,11 @@ class TargetField:
     def crates(self, count: int, homes: Sequence[Point], seed: int) -> tuple[Crate, ...]:
         """Return crates beside the way of the first target."""
         return self._traffic[0].crates(count, homes, seed)
+
+    @property
+    def ways(self) -> Array:
+        """Return places (n, 2), E and N, of where anything drives or is parked."""
+        return np.vstack([each.ways for each in self._traffic])
 
     def target(self, number: int, time_s: float) -> ObjectTruth:
         return self._at(number, time_s)[0]

@@ -105,7 +105,8 @@ class Snapshot:
     """Everything at one instant.
 
     ``kind``: of all objects. ``stretch``: times the size that a body of this kind has along x, y
-    and z of its frame. ``crates``: what else lies on the ground.
+    and z of its frame. ``crates``: what else lies on the ground. ``obstacles``: boxes of what
+    stands in the way, which hide what is behind them.
     """
 
     time_s: float
@@ -117,6 +118,7 @@ class Snapshot:
     kind: TargetKind = "car"
     stretch: Vec3 = AS_IT_IS
     crates: tuple[Crate, ...] = ()
+    obstacles: tuple[Crate, ...] = ()
 
     def carried_on(self, by_s: float) -> Snapshot:
         """Return the snapshot some milliseconds later or earlier: everything moves on with its

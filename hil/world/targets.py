@@ -30,6 +30,7 @@ Point = tuple[float, float]
 RAMP_S = 2.0  # from parked to full speed
 FIRST_STANDS = 0.3  # share of those that stand at first
 LOOP_POINTS = 1024
+_WAY_POINTS = 16  # of them, one is enough to keep off the way
 GAP_SHARE = 2.0 / 3.0  # of the least distance to the target: between two look-alikes
 HOME_GAP_M = 1.5  # nothing is parked where drones stand
 PLACEMENTS = 2000
@@ -282,6 +283,12 @@ class GroundVehicles:
             ObjectTruth(first_id + 1 + len(self._apart) + k, (x, y, z), yaw, 0.0)
             for k, ((x, y, yaw), z) in enumerate(zip(parked, heights, strict=True))
         )
+
+    @property
+    def ways(self) -> Array:
+        """Return places (n, 2), E and N, of where anything drives or is parked."""
+        parked = [each.position_w_m[:2] for each in self._parked]
+        return np.vstack([self._loop.points[::_WAY_POINTS], *parked])
 
     def crates(self, count: int, homes: Sequence[Point], seed: int) -> tuple[Crate, ...]:
         """Return crates beside the target's way."""

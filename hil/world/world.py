@@ -39,6 +39,7 @@ from hil.world.dynamics import (
 )
 from hil.world.estimator import Sensors
 from hil.world.fields import TargetField
+from hil.world.obstacles import crates_of, stand
 from hil.world.rangefinder import SimRangefinder
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.geometry.transforms import Pose
@@ -194,6 +195,13 @@ class Fleet:
             [(each.place_m, each.named_at_s) for each in targets] or [(config.target.start_m, 0.0)],
             [home.position_m for home in homes.values()],
             traffic.spawn(len(targets)) if targets else [traffic],
+        )
+        self.obstacles = stand(
+            config.obstacles,
+            config.errors.sizes.home_m,
+            self._traffic.ways,
+            [home.position_m for home in homes.values()],
+            seed,
         )
         self._traffic_began_s = 0.0
         off = off or {}
@@ -396,7 +404,7 @@ class Fleet:
         target = self.config.target
         return Snapshot(
             self.time_s, drones, objects, marker_hidden, depth_holes, self.detector, target.kind, target.stretch,
-            self._crates,
+            self._crates, crates_of(self.obstacles),
         )  # fmt: skip
 
     def truths(self) -> dict[str, DroneTruth]:

@@ -43,7 +43,7 @@ from hil.tello.video import TelloVideo
 from hil.tello.world import is_tello, tello_of
 from hil.vehicle.simulators.followed_world import FollowedWorld, SimulatedVehicle, start_simulators
 from hil.world.config import WorldConfig
-from hil.world.distances import clearance
+from hil.world.distances import clearance, obstacles_m
 from hil.world.errors import as_built
 from hil.world.snapshot import Snapshot
 from hil.world.world import World
@@ -90,6 +90,7 @@ class SitlWorld(RealTimeWorld):
             self._monitors.min_separation_m,
             dict.fromkeys(Role, 0),
             self._config.target,
+            self._world.obstacles,
         )
         for role in Role:
             self._start_camera(role)
@@ -158,6 +159,7 @@ class SitlWorld(RealTimeWorld):
             self._truth.truth(world)
             self._monitors.on_near(now_s, world.closest(self._monitors.min_separation_m))
             self._monitors.on_target(now_s, clearance(world))
+            self._monitors.on_obstacles(now_s, obstacles_m(world))
         # the roles' phases are in their logs: no S7 here
         if steps % (TRUTH_STEPS * VEHICLES_EVERY) == 0:
             self._monitors.scripts.on_truth(now_s, vehicles_of(world, self._own))

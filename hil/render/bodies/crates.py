@@ -36,7 +36,9 @@ def crate_body(crate: Crate) -> Body:
         for face in box((0.0, 0.0, 0.5 * crate.size_m[2]), crate.size_m, LIGHT)
     ]
     east, north = crate.place_m
-    return lying(model_of(faces), Pose(R_from_yaw(crate.yaw_rad), np.array([east, north, 0.0])))
+    return lying(
+        model_of(faces), Pose(R_from_yaw(crate.yaw_rad), np.array([east, north, crate.floor_m]))
+    )
 
 
 def _shades(rows: int, columns: int, rng: np.random.Generator) -> Image:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import CameraError, Perception, View
+from drivers.rig.obstacle import Obstacle
 from drivers.rig.parts import Mount, Origin, PartContext
 from hil.camera.capture import Capture, Freeze
 from hil.geometric import targets as geometric_targets
@@ -28,6 +29,7 @@ from hil.render.renderer import Renderer
 from hil.render.scene import car
 from hil.render.sensor import NOISE_FREE
 from hil.world.errors import Built
+from hil.world.obstacles import crates_of
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.camera.model import CameraModel
 from path.config import MethodConfig
@@ -243,6 +245,67 @@ def test_depth_is_that_of_the_drawn_surface(role: Role) -> None:
         assert theirs is not None
         assert ours.z_m == pytest.approx(theirs.z_m, abs=0.012)
         assert ours.sigma_m == pytest.approx(theirs.sigma_m, rel=0.1)
+
+
+# --- what stands in the way
+
+TARGET = thing(0, 0.1, 0.0)
+BETWEEN = Obstacle((-0.7, 0.0), (0.2, 3.0), 1.4)
+BESIDE = Obstacle((-0.7, 2.2), (0.2, 3.0), 1.4)
+POST = Obstacle((-1.9, 0.1), (0.3, 0.3), 3.0, round=True)
+
+
+def walled(*obstacles: Obstacle) -> Snapshot:
+    return replace(moment(TARGET), obstacles=crates_of(obstacles))
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_an_obstacle_hides_what_is_behind_it_and_is_what_depth_measures(role: Role) -> None:
+    free = look(walled(), role)
+    (seen,) = free.targets(None)
+    behind = look(walled(BETWEEN), role)
+    assert behind.targets(None) == []
+    depth = free.depth(seen.box)
+    nearer = behind.depth(seen.box)
+    assert depth is not None
+    assert nearer is not None
+    assert nearer.z_m < depth.z_m - 0.3
+
+
+def test_an_obstacle_beside_the_line_of_sight_hides_nothing() -> None:
+    for role in Role:
+        seen = [values(each.box) for each in look(walled(BESIDE), role).targets(None)]
+        assert seen == [values(each.box) for each in look(walled(), role).targets(None)]
+
+
+def test_one_that_the_camera_stands_beside_hides_no_more_than_it_covers() -> None:
+    """A wall that begins behind the camera still hides what is behind its other end."""
+    along = Obstacle((-1.0, 0.4), (6.0, 0.2), 3.0)
+    (seen,) = look(walled(along)).targets(None)
+    assert values(seen.box) == values(look(walled()).targets(None)[0].box)
+    across = Obstacle((-0.7, 0.05), (6.0, 0.2), 3.0, heading_deg=60.0)
+    assert look(walled(across)).targets(None) == []
+
+
+def test_a_marker_behind_an_obstacle_is_not_found() -> None:
+    assert len(look(walled(BETWEEN), Role.RECEIVER).markers(None)) == 1
+    assert not look(walled(POST), Role.RECEIVER).markers(None)
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_depth_of_an_obstacle_is_that_of_the_drawn_one(role: Role) -> None:
+    snapshot = walled(BETWEEN, POST)
+    renderer = Renderer(CAMERA, T_B_C, T_B_V, LAYOUT, noise=NOISE_FREE)
+    image = renderer.render(snapshot, role, 0)[1]
+    compared = 0
+    for column in range(100, 600, 100):
+        box = Box(float(column), 60.0, 24.0, 24.0)
+        drawn = registered_depth(image, box, MethodConfig())
+        found = look(snapshot, role).depth(box)
+        if drawn is not None and found is not None:
+            assert found.z_m == pytest.approx(drawn.z_m, abs=0.02)
+            compared += 1
+    assert compared >= 3
 
 
 def test_another_depth_camera_is_as_good_as_the_rig_says() -> None:

@@ -502,6 +502,18 @@ def test_s9_is_about_a_target_that_can_be_hit_as_well(monitors: Monitors) -> Non
     assert monitors.details[0] == "S9 at 0.04 s: 0.39 m from the target, below 0.40 m"
 
 
+# --- S11
+
+
+def test_s11_counts_each_touch_of_each_body_once(monitors: Monitors) -> None:
+    for k, away_m in enumerate([0.4, 0.1, -0.01, -0.05, 0.02, 0.0]):
+        monitors.on_obstacles(k * 0.04, {"sender": 1.0, "receiver": away_m})
+    monitors.on_obstacles(0.3, {})  # both have landed
+    assert dict(monitors.violations) == {"S11": 2}
+    assert monitors.details[0] == "S11 at 0.08 s: receiver touches an obstacle"
+    assert monitors.obstacle_m == -0.05
+
+
 # --- the watched log
 
 
