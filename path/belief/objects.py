@@ -109,7 +109,8 @@ class Belief:
                 unseen = track.inferred and frame.holders[k] not in frame.together
             track.shown = track.shown and held is None and not unseen
             if unseen and (track.inferred or not track.confirmed):
-                track.log_odds -= _MISSED * dt_s / SPELL_S
+                missed = track.log_odds - _MISSED * dt_s / SPELL_S
+                track.log_odds = max(missed, _LOG_ODDS_DEAD)  # one that may be the one is kept
         numbers = {
             column: self.tracks[k].number
             for k, column in enumerate(frame.assigned)

@@ -297,6 +297,19 @@ def test_one_large_box_in_between_makes_no_second_object() -> None:
     assert belief.identity_of(0) > 1.0 - 1e-3
 
 
+def test_who_was_in_its_box_and_never_seen_since_is_believed_in_for_as_long_as_it_takes() -> None:
+    most_m = (0.33, 0.33)
+    belief, stamp_ns = begun()
+    for _ in range(100):
+        stamp_ns += FRAME_NS
+        belief.update([box(0.0, wide_m=0.62, most_m=most_m)], EVERYWHERE, stamp_ns)
+    for _ in range(600):
+        stamp_ns += 10 * FRAME_NS
+        belief.update([box(-0.16, most_m=most_m)], EVERYWHERE, stamp_ns)
+    assert len(belief.tracks) == 2
+    assert belief.identity_of(0) > 0.95
+
+
 def test_one_that_is_known_and_goes_behind_the_target_is_the_other_one_in_its_box() -> None:
     belief, stamp_ns = begun(others_m=[0.5])
     for _ in range(100):
