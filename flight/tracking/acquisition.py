@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,9 +190,7 @@ class Acquisition:
         """Take up one frame. Returns the target once this frame makes it sure."""
         stamp_ns = view.stamp_ns
         self._note_look(stamp_ns, T_n_c)
-        expected = self._statements.where(stamp_ns)
-        down_m = self._usual_down_m if expected is None else expected[0][2]
-        self._seen = self._candidates.look(view, T_n_c, down_m)
+        self.watch(view, T_n_c)
         self.shares = self._judged()
         best = max(self._seen, key=lambda each: self.shares.of[each.number], default=None)
         share = 0.0 if best is None else self.shares.of[best.number]
@@ -204,6 +203,13 @@ class Acquisition:
                 return Taken(best.position_n_m, self._velocity_of(best), self._settled_share, asked)
         self._ask(stamp_ns, share)
         return None
+
+    def watch(self, view: View, T_n_c: Pose) -> Sequence[Candidate]:
+        """Take up one frame, and judge nothing. Returns all that is known to be there."""
+        expected = self._statements.where(view.stamp_ns)
+        down_m = self._usual_down_m if expected is None else expected[0][2]
+        self._seen = self._candidates.look(view, T_n_c, down_m)
+        return self._candidates.all
 
     def why(self) -> str:
         """Return what D1 knows, and what would tell it more, for the crew."""

@@ -249,6 +249,16 @@ class TargetTrack:
             self._fuse(measured_n_m, stamp_ns, sigma_m, moves=not cut)
             self.seen_ns = stamp_ns
 
+    @property
+    def motion(self) -> Motion:
+        """Return its place and velocity as of ``stamp_ns``."""
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = self._pp * np.eye(3)
+        covariance[:3, 3:] = covariance[3:, :3] = self._pv * np.eye(3)
+        covariance[3:, 3:] = self._vv * np.eye(3)
+        mean = np.array((*self.position_n_m, *self.velocity_n_mps))
+        return Motion(mean, covariance, self.stamp_ns)
+
     def found_again(self, motion: Motion) -> None:
         """Begin anew where the object surely is."""
         north, east, down, v_north, v_east, v_down = motion.mean.tolist()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from drivers.interfaces import View
 from drivers.operator.interfaces import BearingTold, Chosen, PlaceTold, Question, Told
 from flight.guidance import Vec3, add
 from flight.tracking.acquisition import Acquisition, Taken
+from flight.tracking.candidates import Candidate
 from flight.tracking.look_round import LookRound
 from flight.tracking.ranging import Ranging
 from missions.fly.leg.numbered import NOTHING, pictured
@@ -126,6 +127,10 @@ class Designating:
         if taken is not None:
             self._session.log.write("/taken", view.stamp_ns, taken_record(taken))
         return taken
+
+    def watch(self, view: View, T_n_c: Pose) -> Sequence[Candidate]:
+        """Take up one frame without asking which is meant. Returns all that is known to be there."""
+        return self._acquisition.watch(view, T_n_c)
 
     def where(self, now_ns: int) -> tuple[Vec3, float]:
         """Return the place to look at, and how many times as far off as usual to look at all of

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from flight.camera_pose import CameraPose, gravity_in
@@ -35,6 +35,7 @@ from flight.guidance import (
     subtract,
     within_fence,
 )
+from flight.keep_out import Body, followed
 from flight.outcome import KEPT_S, MissionEnd, Outcome
 from flight.phases import Phase
 from flight.rendezvous.course import Rendezvous
@@ -111,6 +112,7 @@ class Receiver:
         # when it took the target over; a relief of a relay goes on as something else then
         self._taken_ns = 0
         self._watching = True
+        self._leaving = False
         self._seen: View | None = None
         self._track: TargetTrack | None = None
         self._by_both = FromBothViews(
@@ -126,6 +128,7 @@ class Receiver:
         self._common: CommonViews | None = None
         if rig.method.common_view:
             self._common = CommonViews(session, self._marker)
+        session.bodies = self._bodies
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
 
@@ -270,8 +273,14 @@ class Receiver:
                 steady_since_s = loop.time()
         return None
 
+    def _bodies(self) -> Sequence[Body]:
+        """Return what this drone tracks, to keep out of its way."""
+        if self._track is None:
+            return ()
+        return followed(self._track, self._config, self._session.now_ns())
+
     async def recover(self, end: MissionEnd | None) -> bool:
-        self._watching = False
+        self._leaving = True
         self._handover.end(end)
         self._session.say_if_unfollowed(end)
         state = self._session.vehicle.state
@@ -384,6 +393,10 @@ class Receiver:
             session.log.write("/frame", view.stamp_ns, record)
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._rendezvous.tilt.note(R_n_b)
+            if self._leaving:
+                self._look_out(view, R_n_b)
+                await asyncio.sleep(1.0 / self._config.status_hz)
+                continue
             if self._handover.holds:
                 self._follow_once(view, R_n_b)
             else:
@@ -392,6 +405,12 @@ class Receiver:
             self._seen = view
             if session.phase is Phase.FOLLOW:
                 await session.skip_frames()
+
+    def _look_out(self, view: View, R_n_b: Matrix) -> None:
+        """Keep up what is tracked, while this drone comes down."""
+        if self._track is not None:
+            T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
+            follow(view, T_n_c, self._camera, self._track)
 
     async def _watch_peer(self) -> None:
         """The sender must be heard until this drone holds the target; within a lease, the lease

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
@@ -35,10 +36,12 @@ from flight.guidance import (
     subtract,
     within_fence,
 )
+from flight.keep_out import Body, followed, seen
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tilt import Tilt
 from flight.tracking.association import Sighting, follow
+from flight.tracking.candidates import Candidate as Seen
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.look_round import LookRound
 from flight.tracking.ranging import Ranging
@@ -95,6 +98,7 @@ class Sender:
             ranging=self._ranging,
         )
         self._watching = True
+        self._leaving = False
         self._handover = SenderHandover(session, store)
         self._side: SenderSide | None = None
         # as measured on the marker: -1 left of D1, 1 right
@@ -102,6 +106,8 @@ class Sender:
         self._keyframes = KeyframesOut(session) if rig.method.common_view else None
         self._candidates = 0
         self._way_out: Anchor | None = None
+        self._around: Sequence[Seen] = ()  # until there is a target
+        session.bodies = self._bodies
         session.on_message = self._on_message
         session.on_status = self._handover.on_status
         session.on_step = self._on_step
@@ -182,8 +188,15 @@ class Sender:
         record = attempt_record(attempt)
         session.log.write("/attempt", session.now_ns(), record)
 
+    def _bodies(self) -> Sequence[Body]:
+        """Return what this drone tracks, to keep out of its way."""
+        now_ns = self._session.now_ns()
+        if self._track is None:
+            return seen(self._around, self._config, now_ns)
+        return followed(self._track, self._config, now_ns)
+
     async def recover(self, end: MissionEnd | None) -> bool:
-        self._watching = False
+        self._leaving = True
         self._handover.end(end)
         self._session.say_if_unfollowed(end)
         way_out = self._leave()
@@ -405,7 +418,10 @@ class Sender:
             self._tilt.note(R_n_b)
             self._note_ground()
             session.note_steps()  # before what this frame shows is added to what others showed
-            if self._track is None:
+            if self._leaving:
+                self._look_out(view, R_n_b)
+                await asyncio.sleep(1.0 / self._config.status_hz)
+            elif self._track is None:
                 if session.frames.recorded:
                     self._log_view(view, R_n_b)
                 self._try_to_acquire(view, R_n_b)
@@ -414,6 +430,14 @@ class Sender:
             is_verifying = session.phase is Phase.VERIFY
             if not is_verifying and not self._is_sought():
                 await session.skip_frames()
+
+    def _look_out(self, view: View, R_n_b: Matrix) -> None:
+        """Keep up what is tracked, while this drone comes down."""
+        T_n_c = self._camera_pose.T_n_c(view.stamp_ns, R_n_b)
+        if self._track is None:
+            self._around = self._designating.watch(view, T_n_c)
+        else:
+            follow(view, T_n_c, self._camera, self._track)
 
     def _is_sought(self) -> bool:
         """Return whether the receiver looks for this drone's marker already, or is nearer."""

@@ -8,7 +8,7 @@ import asyncio
 import random
 import sys
 import traceback
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -36,6 +36,7 @@ from flight.ground_below import GroundBelow
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Vec3, add, subtract
 from flight.harness.flights import Emit, Progress
+from flight.keep_out import Body
 from flight.outcome import MissionEnd, Outcome, name_of
 from flight.phases import Phase
 from flight.pilot import Pilot
@@ -132,6 +133,8 @@ class RoleSession:
         self.on_message: Callable[[Received], None] = _ignore
         self.on_status: Callable[[Status], None] = _ignore
         self.on_step: Callable[[int], None] = _ignore
+        # what the role tracks, to keep out of its way
+        self.bodies: Callable[[], Sequence[Body]] = tuple
         self._peer_steps: dict[tuple[Role, int], int] = {}
         # what this drone's course ended in; the other drone is told
         self.end: MissionEnd | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 from drivers.interfaces import (
     SURE,
@@ -20,7 +21,8 @@ from drivers.mavlink.guard.interfaces import Script
 from drivers.mavlink.preflight.geofence import Geofence
 from flight.guard.limits import in_doubt
 from flight.guard.under_guard import UnderGuard
-from flight.guidance import Anchor, norm, subtract
+from flight.guidance import Anchor, bearing, norm, subtract
+from flight.keep_out import clear, level_m, place_to_land
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.pilot import DOUBT_S
@@ -36,6 +38,7 @@ _DISARM_POLL_S = 0.1
 _DISARM_S = 4.0  # PX4 and ArduCopter are disarmed 2 s after they call themselves on the ground
 _POLL_S = 0.02
 _TOLD_S = 3.0
+_REPLAN_S = 0.25
 _NO_MANOEUVRE = frozenset(
     {Outcome.VEHICLE_LOST, Outcome.VEHICLE_REFUSED, Outcome.GUARD, Outcome.CRASHED}
 )
@@ -195,7 +198,9 @@ async def bring_down(
         return True
     if may_manoeuvre(session, end):
         session.enter(Phase.DEPART)
-        await _depart(session, _inside(session, way_out))
+        end_s = asyncio.get_running_loop().time() + session.config.deadlines.depart_s
+        await _depart(session, _inside(session, way_out), end_s)
+        await _until_clear(session, end_s)
     pilot.let_go()
     if guard is not None and guard.taken:
         return await _leave_to_guard(session, guard)
@@ -298,12 +303,37 @@ async def _until_disarmed(session: RoleSession) -> None:
         await asyncio.sleep(_DISARM_POLL_S)
 
 
-async def _depart(session: RoleSession, way_out: Anchor) -> None:
+async def _depart(session: RoleSession, way_out: Anchor, end_s: float) -> None:
     """Fly the way out under guard; when that fails, what follows (landing) is still right."""
     session.pilot.guidance = way_out.hold
     loop = asyncio.get_running_loop()
-    end_s = loop.time() + session.config.deadlines.depart_s
     while session.pilot.in_control and loop.time() < end_s:
         if norm(subtract(way_out.position_n_m, session.vehicle.state.position_n_m)) < _SETTLED_M:
             return
         await asyncio.sleep(0.05)
+
+
+async def _until_clear(session: RoleSession, end_s: float) -> None:
+    """Stay out of the reach of what is tracked until the landing is over before any of it can be
+    there; in the end, land all the same, and say so.
+    """
+    config = session.config
+    loop = asyncio.get_running_loop()
+    while session.pilot.in_control:
+        now_ns = session.now_ns()
+        bodies = session.bodies()
+        here = session.vehicle.state.position_n_m
+        room_m = clear(here, bodies, config, now_ns)
+        if room_m >= 0.0:
+            return
+        if loop.time() >= end_s:
+            short = f"{-room_m:.1f} m short of clear of what it tracks"
+            session.say(f"lands {short}: no better place within {config.deadlines.depart_s:.0f} s")
+            return
+        other = session.here(session.peer).position_n_m if session.peer else None
+        there = place_to_land(here, bodies, other, config, now_ns)
+        nearest = min(bodies, key=lambda body: level_m(here, body.place_n_m))
+        yaw_rad = bearing(subtract(nearest.place_n_m, here))
+        aside = Anchor(there, yaw_rad)
+        session.pilot.guidance = partial(aside.hold, max_speed_mps=config.follow.max_speed_mps)
+        await asyncio.sleep(_REPLAN_S)

@@ -207,7 +207,7 @@ def test_the_way_back_is_behind_it_in_its_own_heading(rig: Any) -> None:
         assert await receiver.recover(end)
         (way_out,) = ways
         assert way_out.position_n_m == pytest.approx(add(STATE.position_n_m, (-1.8, 0.0, 0.0)))
-        assert way_out.yaw_rad == 0.0 and ends == [end] and not receiver._watching
+        assert way_out.yaw_rad == 0.0 and ends == [end] and receiver._leaving
 
     with_receiver(rig, main)
 

@@ -576,6 +576,6 @@ def test_whatever_ends_it_the_hand_over_hears_of_it_first_and_is_finished_last(r
         sender._handover = SimpleNamespace(end=done.append, finish=finish)
         assert await sender.recover(end)
         assert done == [end, (end, sender._leave()), "finished"]
-        assert not sender._watching
+        assert sender._leaving
 
     with_sender(rig, main)

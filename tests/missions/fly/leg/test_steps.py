@@ -10,6 +10,7 @@ from collections.abc import Coroutine
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from drivers.interfaces import (
@@ -27,11 +28,13 @@ from drivers.mavlink.guard.interfaces import Script
 from flight.config import Deadlines, GuardConfig, MissionConfig
 from flight.guidance import Anchor, add, norm, scale, subtract
 from flight.harness.flights import RoleResult
+from flight.keep_out import Body
 from flight.outcome import MissionEnd, Outcome
 from hil.harness.virtual_time import run_virtual
 from missions.fly.leg.course import fly_course
 from missions.fly.leg.session import RoleSession
 from missions.fly.leg.steps import bring_down, check_capabilities, preflight, take_off
+from path.belief.motion import Motion
 from path.messages import Pong, Role, Status
 from tests.doubles import LoopClock
 
@@ -126,10 +129,13 @@ class FakeLink:
 @dataclass
 class Recorder:
     phases: list[str] = field(default_factory=list[str])
+    notes: list[str] = field(default_factory=list[str])
 
     def write(self, topic: str, stamp_ns: int, record: Any) -> None:
         if topic == "/phase":
             self.phases.append(record["phase"])
+        if topic == "/note":
+            self.notes.append(record["note"])
 
 
 class Bench:
@@ -355,6 +361,33 @@ def test_a_pilot_who_took_over_keeps_the_vehicle(rig: Any) -> None:
         assert bench.vehicle.done == ["arm", "take_off", "start_offboard"]
         assert bench.vehicle.flown == before
         assert not bench.session.pilot.in_control
+
+    virtual(main())
+
+
+@pytest.mark.parametrize("leaves", [True, False])
+def test_it_waits_with_landing_for_whom_it_tracks_and_not_for_ever(rig: Any, leaves: bool) -> None:
+    async def main() -> None:
+        bench, loop = Bench(rig), asyncio.get_running_loop()
+        await bench.in_the_air()
+        bench.vehicle.stuck = True
+        begun_s = loop.time()
+
+        def bodies() -> list[Body]:
+            north_m = 30.0 if leaves and loop.time() - begun_s > 5.0 else 1.0
+            mean = np.array((north_m, 0.0, -0.9, 0.0, 0.0, 0.0))
+            motion = Motion(mean, 0.01 * np.eye(6), bench.session.now_ns())
+            return [Body(motion, 0.3, 1.75)]
+
+        bench.session.bodies = bodies
+        here = Anchor(bench.vehicle.now.position_n_m, 0.0)
+        assert await bring_down(bench.session, None, here)
+        await bench.session.cancel_spawned()
+        assert bench.vehicle.done[-1] == "land"
+        waited_s = 5.0 if leaves else CONFIG.deadlines.depart_s
+        assert loop.time() - begun_s == pytest.approx(waited_s + 0.5, abs=0.4)
+        told = any("short of clear" in each for each in bench.log.notes)
+        assert told is not leaves
 
     virtual(main())
 
