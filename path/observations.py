@@ -73,7 +73,8 @@ class Region:
 
     ``near_m, far_m``: how far away along the optical axis what is looked for can be.
     ``extent``: the size that the box of one such object has there, for a detector that can tell
-    apart what touches.
+    apart what touches. ``side_px``: the longer side that its box is expected to have, for one that
+    is good at some sizes only; 0 where nobody knows.
     """
 
     x0: float
@@ -83,6 +84,7 @@ class Region:
     near_m: float = 0.0
     far_m: float = math.inf
     extent: Extent = UNKNOWN
+    side_px: float = 0.0
 
     @property
     def any_depth(self) -> bool:
@@ -96,7 +98,7 @@ class Region:
         y1 = min(self.y1, float(height))
         if not (x1 > x0 and y1 > y0):
             return None
-        return Region(x0, y0, x1, y1, self.near_m, self.far_m, self.extent)
+        return Region(x0, y0, x1, y1, self.near_m, self.far_m, self.extent, self.side_px)
 
     def contains(self, u: float, v: float) -> bool:
         return self.x0 <= u < self.x1 and self.y0 <= v < self.y1

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 
 from drivers.detectors.coco import COCO
+from drivers.detectors.looks import Input, Window, windows
 from drivers.detectors.onnx_model import OnnxModel
-from drivers.detectors.yolox_boxes import best_boxes, decode, grid, suppress
+from drivers.detectors.yolox_boxes import best_boxes, decode, grid, merge, suppress
 from drivers.detectors.yolox_exports import EXPORT, identify
 from drivers.interfaces import PartError
 from drivers.rig.tables import suggestion
@@ -28,6 +29,7 @@ from path.values import frozen
 FILL = 114.0  # grey level around an image that does not fill the input
 # the score from which on a whole object is one to the flight (``flight.tracking.objects``)
 BELIEVED = 0.3
+BORDER_PX = 2.0  # of the input: what ends so near to a part of the image may go on beyond it
 MODEL_VARIABLE = "PATH_YOLOX"
 NAME_ONE = (
     "name one: --model yolox_nano.onnx, PATH_YOLOX=yolox_nano.onnx in the environment, or `model` in the rig's table "
@@ -45,9 +47,14 @@ class YoloxDetectorConfig:
         min_score: objectness times class, below it nothing is found; what is found is told of with
             scores on a scale on which this is ``BELIEVED``.
         max_iou: of two boxes of one class that overlap more, the better one stays.
-        max_side_px: how large an object can be in the image; with a search region, the image is cut
-            so far around it.
-        max_zoom: a cut-out is enlarged at most so much to fill the network's input.
+        sizes_px: how long an object should be in the network's input. The image is cut up and
+            enlarged for each, by how large the object is expected to be (``looks``): each costs a
+            pass of the network, where it makes a difference.
+        max_zoom: a part of the image is enlarged at most so much for that.
+        max_looks: passes of the network for one image. A region is rather enlarged less; a whole
+            image is looked at in turns, from call to call.
+        side_px: how long an object is in whole images, where nobody says; None: they are looked at
+            as they are.
         threads: of onnxruntime.
     """
 
@@ -56,18 +63,20 @@ class YoloxDetectorConfig:
     names: Path | None = None
     min_score: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.3
     max_iou: Annotated[float, Bounds(0.0, 1.0, "of 1", above=True)] = 0.45
-    max_side_px: Annotated[float, Bounds(0.0, 16384.0, above=True)] = 300.0
-    max_zoom: Annotated[float, Bounds(1.0, 16.0, "times")] = 2.0
+    sizes_px: Annotated[tuple[float, ...], Bounds(8.0, 1024.0)] = (64.0, 128.0)
+    max_zoom: Annotated[float, Bounds(1.0, 16.0, "times")] = 4.0
+    max_looks: Annotated[int, Bounds(1, 256, "looks")] = 4
+    side_px: Annotated[float | None, Bounds(1.0, 16384.0)] = None
     threads: Annotated[int, Bounds(0, 256, "threads")] = 1
 
     def __post_init__(self) -> None:
         for name in ("min_score", "max_iou"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name}: {getattr(self, name)!r} is not within 0..1")
-        if self.max_side_px <= 0.0 or self.max_zoom < 1.0 or self.threads < 0:
-            raise ValueError(
-                "max_side_px must be positive, max_zoom at least 1, threads not negative"
-            )
+        if self.max_zoom < 1.0 or self.max_looks < 1 or self.threads < 0:
+            raise ValueError("max_zoom and max_looks must be at least 1, threads not negative")
+        if not self.sizes_px or min(self.sizes_px) <= 0.0:
+            raise ValueError("sizes_px must be one or more lengths above 0")
 
     def check_ready(self) -> None:
         """Raise PartError when no model is named, or there is no such file."""
@@ -87,7 +96,9 @@ class YoloxDetectorConfig:
 
 
 class YoloxDetector:
-    """Implements ``drivers.interfaces.Detector``. Stateless between calls."""
+    """Implements ``drivers.interfaces.Detector``. Between calls it only knows which part of a whole
+    image it looks at next.
+    """
 
     Config = YoloxDetectorConfig
     whole_image = True  # what depth would cut off belongs to how a thing looks
@@ -105,6 +116,14 @@ class YoloxDetector:
         self._decoded = export.decoded
         self._scored = _scored(config, file, export.classes)
         self._power = math.log(BELIEVED) / math.log(config.min_score)
+        self._input = Input(
+            self._width,
+            self._height,
+            config.sizes_px,
+            config.max_zoom,
+            config.max_looks,
+        )
+        self._turn = 0
 
     def detect(self, image: Image, region: Region | None) -> Sequence[Detection]:
         """Boxes of the classes looked for, best score first.
@@ -115,10 +134,38 @@ class YoloxDetector:
                 enlarged; None for the whole image.
         """
         height, width = image.shape[:2]
-        window = _window(region, 0.5 * self._config.max_side_px, width, height)
-        if window is None:
+        if region is None and self._config.side_px is not None:
+            everywhere = (0.0, 0.0, float(width), float(height))
+            region = Region(*everywhere, side_px=self._config.side_px)
+        parts = self._next(windows(region, width, height, self._input))
+        if not parts:
             return ()
-        x0, y0, x1, y1 = window
+        looks = [self._look(image, part, cut=len(parts) > 1) for part in parts]
+        boxes, scores, classes = (np.concatenate(of) for of in zip(*looks, strict=True))
+        whose = np.repeat(np.arange(len(looks)), [len(look[1]) for look in looks])
+        kept = merge(boxes, scores, classes, whose)
+        found: list[Detection] = []
+        for (x, y, w, h), score in zip(boxes[kept].tolist(), scores[kept].tolist(), strict=True):
+            # edges to pixel centres: the first pixel's edge is at -0.5
+            box = Box(x - 0.5 * w - 0.5, y - 0.5 * h - 0.5, w, h)
+            if region is None or region.contains(*box.center):
+                found.append(Detection(box, min(1.0, score) ** self._power))
+        return found
+
+    def _next(self, parts: Sequence[Window]) -> Sequence[Window]:
+        """Return as many parts of an image as one call may look at, those that follow the last."""
+        most = self._config.max_looks
+        if len(parts) <= most:
+            return parts
+        first = self._turn % len(parts)
+        self._turn = first + most
+        return [*parts[first:], *parts][:most]
+
+    def _look(self, image: Image, part: Window, *, cut: bool) -> tuple[Singles, ...]:
+        """Boxes (m, 4) as centre and size in px of the image's edges, scores and classes of one
+        pass. ``cut``: boxes that end where the part does are left out, another part has them whole.
+        """
+        x0, y0, x1, y1 = part
         tensor, across, down = self._letterboxed(image[y0:y1, x0:x1])
         raw = self._model.run(tensor)[0]
         least = self._config.min_score
@@ -127,15 +174,17 @@ class YoloxDetector:
         else:
             boxes, scores, classes = decode(raw, self._cells, self._steps, self._scored, least)
         kept = suppress(boxes, scores, classes, self._config.max_iou)
-        found: list[Detection] = []
-        for (x, y, w, h), score in zip(boxes[kept].tolist(), scores[kept].tolist(), strict=True):
-            # edges to pixel centres: the first pixel's edge is at -0.5
-            left = (x - 0.5 * w) / across + x0 - 0.5
-            top = (y - 0.5 * h) / down + y0 - 0.5
-            box = Box(left, top, w / across, h / down)
-            if region is None or region.contains(*box.center):
-                found.append(Detection(box, min(1.0, score) ** self._power))
-        return found
+        zoom = np.array((across, down, across, down), np.float32)
+        boxes = boxes[kept] / zoom + np.array((x0, y0, 0.0, 0.0), np.float32)
+        if not cut:
+            return boxes, scores[kept], classes[kept]
+        ends = np.array(part)
+        at_border = ends == (0, 0, image.shape[1], image.shape[0])
+        half = 0.5 * boxes[:, 2:]
+        edges = np.concatenate((boxes[:, :2] - half, boxes[:, :2] + half), axis=1)
+        inside = np.abs(edges - ends) > BORDER_PX / zoom
+        whole = (inside | at_border).all(axis=1)
+        return boxes[whole], scores[kept][whole], classes[kept][whole]
 
     def _letterboxed(self, part: Image) -> tuple[Singles, float, float]:
         """The network's input, (1, 3, h, w) BGR 0..255 with grey right and below; how much larger
@@ -186,24 +235,3 @@ def _read_names(file: Path) -> tuple[str, ...]:
         raise PartError(
             f"{file}: {error}", "write the names of the model's classes into it, one a line"
         ) from error
-
-
-def _window(
-    region: Region | None,
-    reach_px: float,
-    width: int,
-    height: int,
-) -> tuple[int, int, int, int] | None:
-    """The part of the image to look at, ``x0 y0 x1 y1``; None when the region is outside."""
-    if region is None:
-        return 0, 0, width, height
-    if region.clipped(width, height) is None:
-        return None
-    x0 = max(int(region.x0 - reach_px), 0)
-    y0 = max(int(region.y0 - reach_px), 0)
-    return (
-        x0,
-        y0,
-        min(int(region.x1 + reach_px) + 1, width),
-        min(int(region.y1 + reach_px) + 1, height),
-    )

@@ -12,6 +12,7 @@ from path.arrays import Flags, Singles, Whole
 
 STRIDES = (8, 16, 32)
 MOST_KEPT = 300  # boxes that suppression looks at, the best
+SAME_SHARE = 0.6  # of the smaller of two boxes, from which on they are of one object
 
 
 def grid(
@@ -119,4 +120,28 @@ def suppress(
         both = np.prod(np.maximum(shared, 0.0), axis=1)
         overlap = both / np.maximum(areas[first] + areas[rest] - both, 1e-9)
         left = rest[(overlap <= most_iou) | (classes[rest] != classes[first])]
+    return np.array(kept, np.int64)
+
+
+def merge(
+    boxes: Singles,
+    scores: Singles,
+    classes: Singles,
+    looks: Whole,
+) -> Whole:
+    """Indices of boxes (m, 4) kept, best first, of several looks at one image, each suppressed by
+    itself: none shares most of the smaller one's area with a better one of its class of another
+    look, as two boxes of one object do of which one leaves out a part.
+    """
+    low = boxes[:, :2] - 0.5 * boxes[:, 2:]
+    high = boxes[:, :2] + 0.5 * boxes[:, 2:]
+    areas = boxes[:, 2] * boxes[:, 3]
+    kept: list[int] = []
+    for each in np.argsort(-scores, kind="stable").tolist():
+        shared = np.minimum(high[each], high[kept]) - np.maximum(low[each], low[kept])
+        both = np.prod(np.maximum(shared, 0.0), axis=1)
+        again = both > SAME_SHARE * np.minimum(areas[each], areas[kept])
+        again &= (classes[kept] == classes[each]) & (looks[kept] != looks[each])
+        if not again.any():
+            kept.append(each)
     return np.array(kept, np.int64)

@@ -207,7 +207,8 @@ def _region(
     reach_m = track.reach_m(stamp_ns) if _unseen(track, stamp_ns) else 0.0
     gate_m = track.gate_m(sigma_m, stamp_ns)
     reach_px = camera.fx / z * max(reach_m, gate_m / AMBIGUITY, RIVAL_REACH * z)
-    return Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px)
+    side_px = max(track.usual_m or (0.0, 0.0)) * camera.fx / z
+    return Region(u - reach_px, v - reach_px, u + reach_px, v + reach_px, side_px=side_px)
 
 
 def _offered(

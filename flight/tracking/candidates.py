@@ -31,7 +31,7 @@ from path.belief.motion import Array, Motion, mahalanobis2
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
-from path.observations import Box, Depth
+from path.observations import Box, Depth, Region
 
 GATE_SIGMAS = 4.0
 REMEMBERED_S = 20.0  # where something was, and that there was something
@@ -194,6 +194,7 @@ class Candidates:
         self._fastest_mps = fastest_mps
         self._accel_mps2 = accel_mps2
         self._level = not flies
+        self._side_m = max(method.evidence.span_m, method.evidence.height_m)
         self._numbers = 0
         self.all: list[Candidate] = []
 
@@ -228,7 +229,7 @@ class Candidates:
 
     def _observed(self, view: View, T_n_c: Pose, down_m: float) -> list[Observed]:
         found: list[Observed] = []
-        for detection in view.targets(None):
+        for detection in view.targets(self._everywhere(T_n_c, down_m)):
             box = detection.box
             cut = is_cut(box, self._camera)
             if detection.score < (CUT_SCORE if cut else MIN_SCORE):
@@ -243,6 +244,18 @@ class Candidates:
                     Observed(box, depth, there, self._covariance(box, depth, cut, there, T_n_c))
                 )
         return found
+
+    def _everywhere(self, T_n_c: Pose, down_m: float) -> Region | None:
+        """Return all of the image, and how large the target is where the camera looks; None where
+        that is not known.
+        """
+        camera = self._camera
+        seen = at_height((camera.cx, camera.cy), camera, T_n_c, down_m)
+        if seen is None or self._side_m <= 0.0:
+            return None
+        _, _, z_m = T_n_c.inverse().apply(np.array(seen)).tolist()
+        side_px = self._side_m * camera.fx / max(z_m, self._side_m)
+        return Region(0.0, 0.0, float(camera.width), float(camera.height), side_px=side_px)
 
     def _covariance(
         self, box: Box, depth: Depth | None, cut: bool, there: Vec3, T_n_c: Pose

@@ -79,10 +79,9 @@ class Identity:
                 continue
             u, v = camera.project_point((x, y, z))
             sigma_m = math.sqrt(float(np.trace(track.motion.place_covariance_m2)) / 3.0)
-            half_px = (
-                _AROUND * (sigma_m + 0.5 * float(np.max(np.exp(track.log_sides)))) * camera.fx / z
-            )
-            around = Region(u - half_px, v - half_px, u + half_px, v + half_px)
+            side_px = float(np.max(np.exp(track.log_sides))) * camera.fx / z
+            half_px = _AROUND * (sigma_m * camera.fx / z + 0.5 * side_px)
+            around = Region(u - half_px, v - half_px, u + half_px, v + half_px, side_px=side_px)
             whole = around if whole is None else _both(whole, around)
         return whole
 
@@ -232,4 +231,7 @@ class Identity:
 
 
 def _both(a: Region, b: Region) -> Region:
-    return Region(min(a.x0, b.x0), min(a.y0, b.y0), max(a.x1, b.x1), max(a.y1, b.y1))
+    x0 = min(a.x0, b.x0)
+    y0 = min(a.y0, b.y0)
+    side_px = a.side_px or b.side_px
+    return Region(x0, y0, max(a.x1, b.x1), max(a.y1, b.y1), side_px=side_px)

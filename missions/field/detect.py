@@ -126,7 +126,7 @@ def _measure(
         for file in files:
             told = labels.of(file.name)
             if told is not None:
-                measured.look(read_image(file), told, detector.detect, options.regions)
+                measured.look(read_image(file), told, detector.detect, options.regions, file.stem)
             advance()
     if not measured.pictures:
         raise PartError(

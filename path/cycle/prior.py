@@ -127,6 +127,9 @@ def predict(
         return Missed(MissReason.POSE_UNCERTAIN)
     half_u = max(half_u + 0.5 * box_size_at_1m_px[0] / z_m, config.min_search_px)
     half_v = max(half_v + 0.5 * box_size_at_1m_px[1] / z_m, config.min_search_px)
+    body = config.evidence
+    side_m = max(body.span_m, body.height_m)
+    side_px = max(box_size_at_1m_px) / z_m or side_m * float(lens[0]) / z_m
     reach_m = TARGET_REACH_M + config.search_sigmas * math.hypot(range_sigma_m, point_sigma_m)
     region = Region(
         u - half_u,
@@ -135,5 +138,6 @@ def predict(
         v + half_v,
         max(0.0, z_m - reach_m),
         z_m + reach_m,
+        side_px=side_px,
     )
     return Prior((u, v), z_m, (uu, uv, vv), region, target_sequence, T_c2_v, pose_sigma_m, point_v)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 
 from drivers.detectors.coco import COCO
+from drivers.detectors.looks import Input, windows
 from drivers.detectors.yolox import BELIEVED, MODEL_VARIABLE, YoloxDetector, YoloxDetectorConfig
 from drivers.detectors.yolox_boxes import decode, grid, suppress
 from drivers.interfaces import PartError
@@ -120,10 +122,11 @@ def test_boxes_are_in_the_images_own_pixels(
 def test_a_search_region_is_looked_at_enlarged_and_only_centres_inside_count(
     bright_cells: Path,
 ) -> None:
-    detector = YoloxDetector(config(bright_cells, max_side_px=12.0))
+    detector = YoloxDetector(config(bright_cells, sizes_px=(8.0,), max_zoom=2.0))
     image = scene(256, 256, 100, 140, 4)  # one pixel of the input when the image is seen whole
     assert detector.detect(image, None) == []
-    region = Region(90.0, 130.0, 108.5, 148.5)  # seen from 84, 124 on, twice enlarged
+    # seen from 84, 124 on, twice enlarged
+    region = Region(90.0, 130.0, 109.5, 149.5, side_px=4.0)
     (found,) = detector.detect(image, region)
     assert (found.box.x, found.box.y, found.box.w, found.box.h) == pytest.approx(
         (99.5, 139.5, 4.0, 4.0)
@@ -208,11 +211,11 @@ def clock_face() -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 @needs_weights
 def test_the_real_network_answers_the_same_for_an_image_and_a_region_around_it() -> None:
     image = clock_face()
-    detector = YoloxDetector(config(WEIGHTS[0], classes=("clock",), max_side_px=260.0))
+    detector = YoloxDetector(config(WEIGHTS[0], classes=("clock",)))
     (whole,) = detector.detect(image, None)
     assert whole.box.center == pytest.approx((400.0, 240.0), abs=8.0)
     assert (whole.box.w, whole.box.h) == pytest.approx((228.0, 228.0), rel=0.1)
-    (part,) = detector.detect(image, Region(350.0, 190.0, 450.0, 290.0))
+    (part,) = detector.detect(image, Region(350.0, 190.0, 450.0, 290.0, side_px=228.0))
     assert part.box.center == pytest.approx((400.0, 240.0), abs=8.0)
     assert detector.detect(image, Region(0.0, 0.0, 100.0, 100.0)) == []
     assert YoloxDetector(config(WEIGHTS[0], classes=("cat",))).detect(image, None) == []
@@ -243,3 +246,44 @@ def test_what_a_rig_lets_through_is_believed_in_flight(bright_cells: Path) -> No
     ]
     assert 0.3 <= scores[0] < scores[1] < scores[2] < 1.0
     assert scores[1] == pytest.approx(scores[0] ** (math.log(0.3) / math.log(0.1)))
+
+
+def test_a_small_object_is_found_in_a_region_and_in_tiles_of_the_whole_image(
+    bright_cells: Path,
+) -> None:
+    image = scene(640, 480, 400, 240, 4)
+    detector = YoloxDetector(config(bright_cells, sizes_px=(8.0,), max_looks=1000))
+    assert detector.detect(image, None) == []
+    for region in (Region(380.0, 220.0, 420.0, 260.0), Region(0.0, 0.0, 640.0, 480.0)):
+        found = detector.detect(image, replace(region, side_px=4.0))
+        assert found[0].box.center == pytest.approx((401.5, 241.5), abs=1.0)
+    known = YoloxDetector(config(bright_cells, sizes_px=(8.0,), max_looks=1000, side_px=4.0))
+    assert known.detect(image, None) == found
+
+
+def test_a_whole_image_is_looked_at_in_turns_and_a_region_at_once(bright_cells: Path) -> None:
+    image = scene(640, 480, 400, 240, 4)
+    detector = YoloxDetector(config(bright_cells, sizes_px=(8.0,), max_looks=12))
+    everywhere = Region(0.0, 0.0, 640.0, 480.0, side_px=4.0)
+    parts = len(windows(everywhere, 640, 480, Input(SIDE, SIDE, (8.0,), 4.0, 12)))
+    calls = [bool(detector.detect(image, everywhere)) for _ in range(math.ceil(parts / 12))]
+    assert sum(calls) in (1, 2)  # two tiles may share it
+    near = Region(300.0, 200.0, 500.0, 300.0, side_px=8.0)
+    assert len(windows(near, 640, 480, Input(SIDE, SIDE, (16.0,), 4.0, 2))) <= 2
+
+
+@pytest.mark.parametrize("region", [(0, 0, 640, 480), (200, 100, 420, 300), (-50, 400, 90, 600)])
+@pytest.mark.parametrize("side_px", [12.0, 40.0, 170.0])
+def test_an_object_whose_middle_is_in_the_region_is_whole_in_a_part(
+    region: tuple[float, float, float, float], side_px: float
+) -> None:
+    asked = Region(*region, side_px=side_px)
+    inside = asked.clipped(640, 480)
+    assert inside is not None
+    parts = windows(asked, 640, 480, Input(416, 416, (64.0, 128.0), 4.0, 4))
+    rng = np.random.default_rng(0)
+    for u, v in rng.uniform((inside.x0, inside.y0), (inside.x1, inside.y1), (60, 2)):
+        half = 0.5 * side_px
+        x0, y0, x1, y1 = max(u - half, 0), max(v - half, 0), min(u + half, 640), min(v + half, 480)
+        whole = [p[0] <= x0 and p[1] <= y0 and p[2] >= x1 and p[3] >= y1 for p in parts]
+        assert any(whole)

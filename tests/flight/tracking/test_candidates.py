@@ -5,7 +5,7 @@ place is known.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -273,3 +273,20 @@ def test_two_that_pass_each_other_closely_are_not_known_to_be_the_same_any_more(
         east = 0.04 * k
         look(own, View([(2.0, east, -0.1), (2.0, 0.6 - east, -0.1)], stamp_ns))
     assert all(each.since_ns > 0 for each in own.all)
+
+
+def test_detectors_are_told_how_large_the_target_is_where_the_camera_looks() -> None:
+    asked: list[Any] = []
+
+    class Asked(View):
+        def targets(self, region: object) -> list[Detection]:
+            asked.append(region)
+            return []
+
+    method = MethodConfig(evidence=replace(MethodConfig().evidence, span_m=0.4, height_m=0.8))
+    own = Candidates(CAMERA, method, math.radians(1.0), FASTEST, 0.5, flies=False)
+    look(own, Asked([]))
+    x, y, z = T_N_C.inverse().apply(np.array(PLACE)).tolist()
+    middle_px = 0.8 * CAMERA.fx / math.hypot(x, y, z)
+    assert asked[0].side_px == pytest.approx(middle_px, rel=0.3)
+    assert (asked[0].x1, asked[0].y1) == (CAMERA.width, CAMERA.height)

@@ -60,7 +60,6 @@ m higher.
 """
 FOUND_IOU, NOTHING_IOU, IN_VIEW_SHARE = 0.4, 0.1, 0.5
 BORDER_PX = 1.0
-WHOLE_PX = 1300.0  # so far around a region the network sees: all of the image
 # of the pictures of one walk; the last is for velocities
 BEGINS_S, APART_S, STEP_S = 20.0, 2.3, 1e-3
 PICTURES = 16  # of one walk and camera
@@ -102,9 +101,7 @@ def detector_of(kind: TargetKind, model: Path | None) -> Detector:
     if kind != "person":
         return ColorDetector(ColorDetectorConfig())
     assert model is not None, "people need a model: --model yolox_nano.onnx"
-    return YoloxDetector(
-        YoloxDetectorConfig(model, ("person",), min_score=0.05, max_side_px=WHOLE_PX)
-    )
+    return YoloxDetector(YoloxDetectorConfig(model, ("person",), min_score=0.05))
 
 
 class Walk:

@@ -14,7 +14,7 @@ import pytest
 from drivers.interfaces import PartError
 from drivers.recordings.labels import Label, read_labels
 from missions.field.detect import run
-from missions.field.measured_detector import Measured
+from missions.field.measured_detector import Measured, follows, sizes
 from missions.ground.options.field import DetectOptions
 from path.observations import Box, Detection, Region
 
@@ -84,7 +84,7 @@ def test_labels_of_each_kind_measure_the_same(
     assert [(each["from_px"], each["labelled"]) for each in record["by_size"]] == [
         (0.0, 1),
         (20.0, 1),
-        (40.0, 1),
+        (60.0, 1),
     ]
     assert record["by_size"][2]["found"] == 1
     assert np.allclose(record["by_size"][2]["bias_px"], 0.0, atol=0.6)
@@ -119,7 +119,7 @@ def test_a_box_of_nothing_is_invented_unless_nothing_was_labelled_there() -> Non
 
 def test_what_is_missed_counts_by_its_own_size_and_the_pictures_light() -> None:
     it = measured([Label("car", Box(50, 50, 100, 30)), Label("car", Box(5, 5, 9, 9))], grey=30)
-    assert [(low, len(of)) for low, _, of in it.by_size()] == [(0.0, 1), (80.0, 1)]
+    assert [(low, len(of)) for low, _, of in sizes(it.judged)] == [(0.0, 1), (80.0, 1)]
     assert [(name, len(of)) for name, of in it.by_light()] == [("dark", 2)]
     assert it.record()["all"]["found_95"][0] == 0.0
 
@@ -154,3 +154,25 @@ def test_labels_of_other_pictures_are_no_measurement(pictures: Path, tmp_path: P
     (other / "strange.txt").write_text("0 0.5 0.5 0.1 0.1\n", "utf-8")
     with pytest.raises(PartError, match="none of the 3 pictures"):
         run(DetectOptions(pictures, measure=other), io.StringIO())
+
+
+def test_what_stays_missed_from_picture_to_picture_is_counted_once() -> None:
+    it = Measured()
+    label = Label("car", Box(50, 50, 40, 40))
+    found = (Box(50, 50, 40, 40), 0.9)
+    grey = np.full((200, 200, 3), 120, np.uint8)
+    for number, is_found in enumerate("+---+-+"):
+        boxes = (found,) if is_found == "+" else ()
+        it.look(grey, [label], seen(*boxes), regions=False, name=f"film_{number:04d}")  # type: ignore[arg-type]
+    assert it.record()["miss_pictures"] == 2.0  # three and one
+    assert follows("a_0009", "a_0010") and not follows("a_0009", "b_0010")
+    assert not follows("a_0009", "a_0011") and not follows("", "")
+
+
+def test_a_picture_in_which_nothing_is_labelled_tells_what_is_invented() -> None:
+    it = Measured()
+    grey = np.full((200, 200, 3), 120, np.uint8)
+    it.look(grey, [], seen((Box(90, 90, 20, 20), 0.8)), regions=True)  # type: ignore[arg-type]
+    it.look(grey, [], seen(), regions=True)  # type: ignore[arg-type]
+    record = it.record()
+    assert (record["looks"], record["looks_inventing"], record["all"]["labelled"]) == (2, 1, 0)

@@ -327,3 +327,13 @@ def test_a_covariance_in_any_order_of_memory_is_taken_without_compiling_anew() -
     turned = np.asfortranarray(covariance())
     assert prior_of(covariance=turned) == prior_of()
     assert len(projected.signatures) == 1
+
+
+def test_the_region_says_how_large_the_target_is_expected() -> None:
+    with_box = prior_of(box_size_at_1m_px=(200.0, 100.0))
+    body = replace(CONFIG, evidence=replace(CONFIG.evidence, span_m=0.77, height_m=1.75))
+    by_body = prior_of(config=body)
+    assert isinstance(with_box, Prior)
+    assert isinstance(by_body, Prior)
+    assert with_box.region.side_px == pytest.approx(200.0 / with_box.depth_m)
+    assert by_body.region.side_px == pytest.approx(1.75 * CAMERA.fx / by_body.depth_m)
