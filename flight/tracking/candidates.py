@@ -27,7 +27,7 @@ from flight.guidance import Vec3, add, scale, subtract
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, is_cut
 from flight.tracking.places import at_height, place
 from flight.tracking.ranging import COARSE
-from path.belief.motion import Array, Motion, mahalanobis2
+from path.belief.motion import Array, Motion, along_ray, mahalanobis2
 from path.camera.model import CameraModel
 from path.config import MethodConfig
 from path.geometry.transforms import Pose
@@ -274,8 +274,9 @@ class Candidates:
             if depth is None
             else min(depth.sigma_m, max(on_ground_m, COARSE * depth.z_m))
         )
-        on_body_m = (_CUT if cut else _ON_BODY) * max(box.w, box.h) / self._camera.fx * range_m
-        return (across_m**2 + on_body_m**2) * np.eye(3) + along_m**2 * np.outer(ray, ray)
+        side_px = float(max(box.w, box.h))  # detectors say float32
+        on_body_m = (_CUT if cut else _ON_BODY) * side_px / self._camera.fx * range_m
+        return along_ray(ray, across_m**2 + on_body_m**2, along_m**2)
 
     def _within_gates(
         self, seen: Sequence[Observed], stamp_ns: int
@@ -288,11 +289,12 @@ class Candidates:
             if stamp_ns - track.stamp_ns > COASTED_S * 1e9:
                 continue
             expected = track.ahead(stamp_ns, self._accel_mps2)
+            known_m2 = expected.place_covariance_m2
             for d, one in enumerate(seen):
-                both_m2 = expected.place_covariance_m2 + one.covariance_m2
-                off2 = mahalanobis2(np.asarray(one.place_n_m) - expected.place_m, both_m2)
+                off_m = np.asarray(one.place_n_m) - expected.place_m
+                off2, determinant = mahalanobis2(off_m, known_m2, one.covariance_m2)
                 if off2 <= GATE_SIGMAS**2:
-                    costs[t, d] = off2 + math.log(float(np.linalg.det(both_m2)))
+                    costs[t, d] = off2 + math.log(determinant)
         return costs
 
     def _kept_s(self, one: Candidate) -> float:

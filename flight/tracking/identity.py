@@ -15,7 +15,7 @@ from flight.guidance import Vec3
 from flight.tracking.largest_box import LargestBox
 from flight.tracking.objects import CUT_SCORE, MIN_SCORE, cut_sides
 from path.belief.boxes import Measured
-from path.belief.motion import Array, Motion
+from path.belief.motion import Array, Motion, along_ray
 from path.belief.objects import Belief
 from path.camera.model import CameraModel
 from path.geometry.transforms import Pose
@@ -206,12 +206,12 @@ class Identity:
             else:
                 z_m = expected_z_m
                 along_m = _UNKNOWN * expected_z_m
-        wide_m = box.w * z_m / camera.fx
-        high_m = box.h * z_m / camera.fy
+        wide_m = float(box.w) * z_m / camera.fx  # detectors say float32
+        high_m = float(box.h) * z_m / camera.fy
         along_m = math.hypot(along_m, _ON_BODY * max(wide_m, high_m))
         across = math.hypot(BOX_SIGMA_PX / min(camera.fx, camera.fy), self._wander_rad) * z_m
         ray = T_n_c.R @ (x, y, 1.0)
-        covariance = across**2 * np.eye(3) + (along_m**2) * np.outer(ray, ray)
+        covariance = along_ray(ray, across**2, along_m**2)
         most = (
             (math.inf, math.inf) if self._largest is None else self._largest.most_m(box, z_m, T_n_c)
         )

@@ -91,7 +91,7 @@ def physics() -> None:
 PARTS: Mapping[str, Sequence[str]] = {
     "pose": ("path.marker.warm_up:warm_up_pose",),
     "relative": ("path.marker.warm_up:warm_up_relative",),
-    "cycles": ("path.cycle.warm_up:warm_up_cycles",),
+    "cycles": ("path.cycle.warm_up:warm_up_cycles", "path.belief.warm_up:warm_up_belief"),
     "marker": ("path.marker.warm_up:warm_up_image",),
     "physics": (f"{__name__}:physics",),
     "geometry": ("hil.geometric.perception:warm_up",),

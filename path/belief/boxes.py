@@ -37,6 +37,7 @@ import numpy as np
 
 from path.belief.motion import Array, Motion
 from path.belief.track import ObjectTrack
+from path.compiled import kernel
 from path.values import value
 
 # standard deviations of a side's logarithm: what is farther off has more in its box, or less
@@ -106,20 +107,41 @@ def fit_of(track: ObjectTrack, measured: Measured, others: Sequence[ObjectTrack]
         others: those who are in its box too, and not shown otherwise: what it is larger by than the
             object was is theirs, and the object need not have turned.
     """
-    sides = np.asarray(measured.sides_m)
-    turned = 0.0 if others else track.size_variances
-    factor = np.exp(FITS * np.sqrt(turned + measured.side_sigma**2))
-    expected = np.minimum(np.exp(track.log_sides), measured.most_m)
-    more = np.maximum(sides - np.minimum(factor * expected, measured.most_m), 0.0)
-    beyond = np.maximum(expected / factor - sides, more)
-    if more.any():  # it may be as small as that, anywhere in there
-        beyond = np.maximum(sides - expected / factor, beyond)
-    if others and more.any():
+    turned = 0.0 if others else 1.0
+    beyond, larger = _beyond(
+        track.log_sides, turned * track.size_variances, measured.sides_m, measured.side_sigma, measured.most_m,
+    )  # fmt: skip
+    if others and larger:
         return held(track, measured, others, beyond, its_own=True)
     if not beyond.any():
         return Fit(measured.place_m, _NOWHERE_ELSE, measured.covariance_m2, larger=False)
     noise = measured.covariance_m2 + _bounded(track.motion, beyond, measured.axes)
-    return Fit(measured.place_m, within(beyond, measured.axes), noise, bool(more.any()))
+    return Fit(measured.place_m, within(beyond, measured.axes), noise, larger)
+
+
+@kernel
+def _beyond(
+    log_sides: Array,
+    variances: Array,
+    sides_m: tuple[float, float],
+    side_sigma: float,
+    most_m: tuple[float, float],
+) -> tuple[Array, bool]:
+    """Return by how much the sides of a box are off those of an object, and whether it is larger."""
+    beyond = np.empty(2)
+    smallest = np.empty(2)
+    larger = False
+    for k in range(2):
+        factor = math.exp(FITS * math.sqrt(variances[k] + side_sigma**2))
+        expected = min(math.exp(log_sides[k]), most_m[k])
+        smallest[k] = expected / factor
+        more = max(sides_m[k] - min(factor * expected, most_m[k]), 0.0)
+        beyond[k] = max(smallest[k] - sides_m[k], more)
+        larger |= more > 0.0
+    if larger:  # it may be as small as that, anywhere in there
+        for k in range(2):
+            beyond[k] = max(sides_m[k] - smallest[k], beyond[k])
+    return beyond, larger
 
 
 def held(
@@ -203,11 +225,29 @@ def size_fits(track: ObjectTrack, measured: Measured) -> float:
     anything: with Student's density of each, or, of one that is cut, the probability that the
     object is as large as that.
     """
-    sigmas = np.sqrt(track.size_variances + measured.side_sigma**2)
-    off = (np.log(measured.sides_m) - track.log_sides) / (sigmas * math.sqrt(_SIZE_TAIL))
-    densities = 0.3675 / sigmas * (1.0 + off * off) ** (-0.5 * (_SIZE_TAIL + 1.0)) / _SIZE_DENSITY
-    as_large = 0.5 - (off / (1.0 + off * off) + np.arctan(off)) / math.pi
-    return float(np.prod(np.where(measured.cut, as_large, densities)))
+    return _likelier(
+        track.log_sides, track.size_variances, measured.sides_m, measured.side_sigma, measured.cut
+    )
+
+
+@kernel
+def _likelier(
+    log_sides: Array,
+    variances: Array,
+    sides_m: tuple[float, float],
+    side_sigma: float,
+    cut: tuple[bool, bool],
+) -> float:
+    likelier = 1.0
+    for k in range(2):
+        sigma = math.sqrt(variances[k] + side_sigma**2)
+        off = (math.log(sides_m[k]) - log_sides[k]) / (sigma * math.sqrt(_SIZE_TAIL))
+        if cut[k]:
+            likelier *= 0.5 - (off / (1.0 + off * off) + math.atan(off)) / math.pi
+        else:
+            tail = (1.0 + off * off) ** (-0.5 * (_SIZE_TAIL + 1.0))
+            likelier *= 0.3675 / sigma * tail / _SIZE_DENSITY
+    return likelier
 
 
 def is_part(measured: Measured, track: ObjectTrack, taken: Measured | None) -> bool:
@@ -236,14 +276,24 @@ def inside(motion: Motion, measured: Measured) -> float:
     times = _times_as_far(motion.place_m, measured)
     if not times > 0.0:
         return 0.0
-    across = measured.axes[:, :2]
     off = _beside(motion.place_m, measured, times)
-    spread = np.sqrt(2.0 * np.diag(across.T @ motion.place_covariance_m2 @ across)) / times
-    half = 0.5 * np.asarray(measured.sides_m)
+    return _inside(off, motion.covariance, measured.axes, times, measured.sides_m)
+
+
+@kernel
+def _inside(
+    off_m: Array, covariance: Array, axes: Array, times: float, sides_m: tuple[float, float]
+) -> float:
     either = 1.0
     for k in range(2):
-        first = math.erf((half[k] - off[k]) / spread[k])
-        either *= 0.5 * (first + math.erf((half[k] + off[k]) / spread[k]))
+        across_m2 = 0.0
+        for i in range(3):
+            for j in range(3):
+                across_m2 += axes[i, k] * covariance[i, j] * axes[j, k]
+        spread = math.sqrt(2.0 * across_m2) / times
+        half = 0.5 * sides_m[k]
+        first = math.erf((half - off_m[k]) / spread)
+        either *= 0.5 * (first + math.erf((half + off_m[k]) / spread))
     return either
 
 

@@ -79,7 +79,7 @@ class Frame:
                     continue  # that is the box of the one that it is in there with
                 off_m = fit.place_m - track.motion.place_m
                 anywhere_m2 = known_m2 + fit.within_m2
-                if mahalanobis2(off_m, anywhere_m2 + each.covariance_m2) > GATE2:
+                if mahalanobis2(off_m, anywhere_m2, each.covariance_m2)[0] > GATE2:
                     continue
                 likelihood = density(off_m, anywhere_m2, each.covariance_m2) * size_fits(
                     track, each

@@ -33,6 +33,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from path.compiled import inner, kernel
+
 Array = NDArray[np.float64]
 
 MANOEUVRE_S = 0.5
@@ -83,66 +85,45 @@ class Motion:
 
     @property
     def place_covariance_m2(self) -> Array:
-        return self.covariance[:3, :3]
+        # whole in memory: kernels are compiled for that
+        return self.covariance[:3, :3].copy()
 
     def advance(self, stamp_ns: int, accel_mps2: float | Array) -> None:
         """Predict to a later stamp; an earlier one changes nothing."""
         t = (stamp_ns - self.stamp_ns) * 1e-9
         if t <= 0.0:
             return
-        density = MANOEUVRE_S * np.diag(accel_mps2**2 * FLYING)
-        P = self.covariance
-        pp = P[:3, :3]
-        pv = P[:3, 3:]
-        vv = P[3:, 3:]
-        grown = np.empty((6, 6))
-        grown[:3, :3] = pp + t * (pv + pv.T) + t * t * vv + density * t**3 / 3.0
-        grown[:3, 3:] = pv + t * vv + density * t * t / 2.0
-        grown[3:, :3] = grown[:3, 3:].T
-        grown[3:, 3:] = vv + density * t
-        self.mean[:3] += t * self.mean[3:]
-        self.covariance = grown
+        self.covariance = _grown(self.mean, self.covariance, accel_mps2 * FLYING, t)
         self.stamp_ns = stamp_ns
 
     def update(self, place_m: Array, noise_m2: Array) -> None:
         """Fuse a measured place, shape (3,), with its covariance (3, 3)."""
-        innovation = place_m - self.mean[:3]
-        known = self.covariance[:3, :3]
-        plain = (1.0 - ODD) * normal(innovation, known + noise_m2)
-        odd = ODD * normal(innovation, known + ODD_TIMES**2 * noise_m2)
-        share = odd / (plain + odd) if plain + odd > 0.0 else 1.0
-        doubted = noise_m2 / (1.0 - share + share / ODD_TIMES**2)
-        gain = np.linalg.solve(known + doubted, self.covariance[:3, :]).T
-        self.mean = self.mean + gain @ innovation
-        covariance = self.covariance - gain @ self.covariance[:3, :]
-        self.covariance = 0.5 * (covariance + covariance.T)
+        self.mean, self.covariance = _fused(self.mean, self.covariance, place_m, noise_m2)
 
 
-def mahalanobis2(innovation_m: Array, covariance_m2: Array) -> float:
-    """Return the squared distance of an innovation, in standard deviations."""
-    return float(innovation_m @ np.linalg.solve(covariance_m2, innovation_m))
+@kernel
+def mahalanobis2(innovation_m: Array, known_m2: Array, noise_m2: Array) -> tuple[float, float]:
+    """Return the squared distance of an innovation, in standard deviations, and the determinant of
+    its covariance.
 
-
-def normal(innovation_m: Array, covariance_m2: Array) -> float:
-    """Return the density per m^3 of a normal distribution about zero with that covariance (3,
-    3).
+    Args:
+        known_m2: covariance (3, 3) of the predicted place. noise_m2: of the measurement.
     """
-    d2 = mahalanobis2(innovation_m, covariance_m2)
-    volume = math.sqrt((2.0 * math.pi) ** 3 * max(float(np.linalg.det(covariance_m2)), 1e-300))
-    return math.exp(-0.5 * d2) / volume
+    return _squared(innovation_m, _factors(known_m2, noise_m2, 1.0))
 
 
+@kernel
 def density(innovation_m: Array, known_m2: Array, noise_m2: Array) -> float:
     """Return the probability density per m^3 of an innovation.
 
     Args:
         known_m2: covariance (3, 3) of the predicted place. noise_m2: of the measurement.
     """
-    plain = normal(innovation_m, known_m2 + noise_m2)
-    odd = normal(innovation_m, known_m2 + ODD_TIMES**2 * noise_m2)
-    return (1.0 - ODD) * plain + ODD * odd
+    plain, odd = _densities(innovation_m, known_m2, noise_m2)
+    return plain + odd
 
 
+@kernel
 def renewal(covariance_m2: Array, noise_m2: Array, direction: Array) -> float:
     """Return how much of a place a measurement with this noise makes new along a direction (any
     length), 0..1.
@@ -150,8 +131,122 @@ def renewal(covariance_m2: Array, noise_m2: Array, direction: Array) -> float:
     0 for an object whose place is known already, 1 for one that may be anywhere: the Kalman gain
     along that direction.
     """
-    length2 = float(direction @ direction)
+    length2 = direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2
     if not length2 > 0.0:
         return 0.0
-    moved = covariance_m2 @ np.linalg.solve(covariance_m2 + noise_m2, direction)
-    return min(1.0, max(0.0, float(direction @ moved) / length2))
+    factors = _factors(covariance_m2, noise_m2, 1.0)
+    solved = _solved(factors, direction[0], direction[1], direction[2])
+    along = 0.0
+    for i in range(3):
+        for j in range(3):
+            along += direction[i] * covariance_m2[i, j] * solved[j]
+    return min(1.0, max(0.0, along / length2))
+
+
+@kernel
+def along_ray(ray: Array, across_m2: float, along_m2: float) -> Array:
+    """Return a covariance (3, 3): so much in every direction, and so much more along a ray of any
+    length.
+    """
+    covariance = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] = along_m2 * (ray[i] * ray[j])
+        covariance[i, i] += across_m2
+    return covariance
+
+
+@kernel
+def _grown(mean: Array, covariance: Array, accel_mps2: Array, t: float) -> Array:
+    """Return the covariance a time later, and move the mean on in place."""
+    grown = np.empty((6, 6))
+    for i in range(3):
+        mean[i] += t * mean[i + 3]
+        for j in range(3):
+            pv = covariance[i, j + 3]
+            vv = covariance[i + 3, j + 3]
+            grown[i, j] = covariance[i, j] + t * (pv + covariance[j, i + 3]) + t * t * vv
+            grown[i, j + 3] = pv + t * vv
+            grown[i + 3, j + 3] = vv
+        density = MANOEUVRE_S * accel_mps2[i] ** 2
+        grown[i, i] += density * t**3 / 3.0
+        grown[i, i + 3] += density * t * t / 2.0
+        grown[i + 3, i + 3] += density * t
+    for i in range(3):
+        for j in range(3):
+            grown[i + 3, j] = grown[j, i + 3]
+    return grown
+
+
+@kernel
+def _fused(mean: Array, P: Array, place_m: Array, noise_m2: Array) -> tuple[Array, Array]:
+    """Return mean and covariance with a measured place in them."""
+    innovation = np.empty(3)
+    for k in range(3):
+        innovation[k] = place_m[k] - mean[k]
+    plain, odd = _densities(innovation, P, noise_m2)
+    share = odd / (plain + odd) if plain + odd > 0.0 else 1.0
+    factors = _factors(P, noise_m2, 1.0 / (1.0 - share + share / ODD_TIMES**2))
+    fused = mean.copy()
+    covariance = np.empty((6, 6))
+    for i in range(6):
+        gain = _solved(factors, P[0, i], P[1, i], P[2, i])
+        for k in range(3):
+            fused[i] += gain[k] * innovation[k]
+        for j in range(6):
+            covariance[i, j] = P[i, j] - (gain[0] * P[0, j] + gain[1] * P[1, j] + gain[2] * P[2, j])
+    for i in range(6):
+        for j in range(i):
+            covariance[i, j] = 0.5 * (covariance[i, j] + covariance[j, i])
+            covariance[j, i] = covariance[i, j]
+    return fused, covariance
+
+
+@inner
+def _densities(innovation_m: Array, known_m2: Array, noise_m2: Array) -> tuple[float, float]:
+    """Return the densities of an innovation whose box is as usual, and odd, with their shares."""
+    plain = _normal(innovation_m, known_m2, noise_m2, 1.0)
+    odd = _normal(innovation_m, known_m2, noise_m2, ODD_TIMES**2)
+    return (1.0 - ODD) * plain, ODD * odd
+
+
+@inner
+def _normal(innovation_m: Array, known_m2: Array, noise_m2: Array, times: float) -> float:
+    """Return the density per m^3 of a normal distribution with the covariance K + times N."""
+    d2, determinant = _squared(innovation_m, _factors(known_m2, noise_m2, times))
+    volume = math.sqrt((2.0 * math.pi) ** 3 * max(determinant, 1e-300))
+    return math.exp(-0.5 * d2) / volume
+
+
+@inner
+def _squared(x: Array, factors: tuple[float, ...]) -> tuple[float, float]:
+    """Return x^T A^-1 x and the determinant of A."""
+    d0, d1, d2, l10, l20, l21 = factors
+    y1 = x[1] - l10 * x[0]
+    y2 = x[2] - l20 * x[0] - l21 * y1
+    return x[0] * x[0] / d0 + y1 * y1 / d1 + y2 * y2 / d2, d0 * d1 * d2
+
+
+@inner
+def _solved(factors: tuple[float, ...], x0: float, x1: float, x2: float) -> tuple[float, ...]:
+    """Return A^-1 x."""
+    d0, d1, d2, l10, l20, l21 = factors
+    y1 = x1 - l10 * x0
+    y2 = x2 - l20 * x0 - l21 * y1
+    z2 = y2 / d2
+    z1 = y1 / d1 - l21 * z2
+    return x0 / d0 - l10 * z1 - l20 * z2, z1, z2
+
+
+@inner
+def _factors(known: Array, noise: Array, times: float) -> tuple[float, ...]:
+    """Return D and L of A = L D L^T, which is the symmetric K + times N: three of D, three of L."""
+    a10 = known[1, 0] + times * noise[1, 0]
+    a20 = known[2, 0] + times * noise[2, 0]
+    d0 = known[0, 0] + times * noise[0, 0]
+    l10 = a10 / d0
+    l20 = a20 / d0
+    d1 = known[1, 1] + times * noise[1, 1] - l10 * a10
+    a21 = known[2, 1] + times * noise[2, 1] - l20 * a10
+    l21 = a21 / d1
+    return d0, d1, known[2, 2] + times * noise[2, 2] - l20 * a20 - l21 * a21, l10, l20, l21

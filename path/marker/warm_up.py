@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from path.belief.warm_up import warm_up_belief
 from path.camera.kernels import extent, lens_of
 from path.camera.model import CameraModel
 from path.cycle.warm_up import warm_up_cycles
@@ -42,6 +43,7 @@ def warm_up(images: bool = True) -> None:
     warm_up_pose()
     warm_up_relative()
     warm_up_cycles()
+    warm_up_belief()
     if images:
         warm_up_image()
 

@@ -8,12 +8,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from flight.config import FollowConfig, MissionConfig
 from flight.guidance import Vec3
 from flight.tracking.association import Sighting, follow
+from flight.tracking.candidates import Candidates
 from flight.tracking.target_track import TargetTrack
+from path.belief import boxes
+from path.belief.motion import along_ray
+from path.config import MethodConfig
 from path.observations import Box, Depth, Detection, MissReason, Region
 from tests.flight.tracking.test_association import CAMERA, PLACE, SECOND, T_N_C, FakeView, beside
 
@@ -35,6 +40,25 @@ def test_what_is_alone_is_the_one() -> None:
     follow(view, T_N_C, CAMERA, track)
     assert track.identity is not None
     assert track.identity.of(view.boxes()[0]) > 1.0 - 1e-6
+
+
+class InFloat32(FakeView):
+    """Boxes as networks say them."""
+
+    def boxes(self) -> list[Box]:
+        return [Box(*np.array((b.x, b.y, b.w, b.h), np.float32)) for b in super().boxes()]
+
+
+def test_nothing_is_compiled_in_flight_for_boxes_in_float32() -> None:
+    kernels = (along_ray, boxes._beyond, boxes._likelier, boxes._inside)
+    track = followed()
+    before = [len(each.signatures) for each in kernels]
+    candidates = Candidates(CAMERA, MethodConfig(), 0.01, 1.0, 1.0, flies=False)
+    for k in (1, 2):
+        view = InFloat32([PLACE], track.stamp_ns + k * FRAME_NS)
+        assert isinstance(follow(view, T_N_C, CAMERA, track), Sighting)
+        assert candidates.look(view, T_N_C, PLACE[2])
+    assert [len(each.signatures) for each in kernels] == before
 
 
 def test_what_stands_beside_it_is_not_the_one() -> None:

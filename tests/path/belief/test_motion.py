@@ -13,9 +13,9 @@ from path.belief.motion import (
     ON_GROUND,
     Array,
     Motion,
+    along_ray,
     density,
     mahalanobis2,
-    normal,
     renewal,
 )
 
@@ -155,19 +155,25 @@ def test_an_object_may_be_as_fast_at_first_as_it_gets_within_a_second() -> None:
 
 
 def test_densities_are_those_of_a_normal_distribution_and_of_one_with_tails() -> None:
-    off, known, noise = (
-        np.array([0.1, -0.2, 0.3]),
-        np.diag([0.1, 0.2, 0.3]),
-        np.diag([0.3, 0.1, 0.2]),
-    )
-    assert mahalanobis2(off, known) == pytest.approx(0.1 + 0.2 + 0.3)
-    assert normal(off, known) == pytest.approx(gaussian(off, known))
+    off = np.array([0.1, -0.2, 0.3])
+    parts = np.random.default_rng(3).normal(0.0, 0.5, (2, 3, 3))
+    known, noise = parts @ parts.transpose(0, 2, 1)
+    d2, determinant = mahalanobis2(off, known, noise)
+    assert d2 == pytest.approx(off @ np.linalg.inv(known + noise) @ off)
+    assert determinant == pytest.approx(np.linalg.det(known + noise))
     expected = 0.95 * gaussian(off, known + noise) + 0.05 * gaussian(off, known + 25.0 * noise)
     assert density(off, known, noise) == pytest.approx(expected)
 
 
+def test_a_ray_of_any_length_widens_what_is_the_same_in_every_direction() -> None:
+    ray = np.array([0.3, -0.5, 1.0])
+    expected = 0.2 * np.eye(3) + 0.7 * np.outer(ray, ray)
+    np.testing.assert_allclose(along_ray(ray, 0.2, 0.7), expected)
+
+
 def test_a_direction_of_no_length_is_none_and_the_length_of_others_is_nothing() -> None:
-    known, noise = np.diag([0.4, 0.1, 0.2]), np.diag([0.1, 0.3, 0.2])
+    parts = np.random.default_rng(4).normal(0.0, 0.5, (2, 3, 3))
+    known, noise = parts @ parts.transpose(0, 2, 1)
     assert renewal(known, noise, np.zeros(3)) == 0.0
     along = np.array([1.0, -2.0, 0.5])
     gain = known @ np.linalg.inv(known + noise)
