@@ -102,9 +102,7 @@ class FollowConfig:
 
 @frozen
 class SeparationConfig:
-    """The volume around D1 that D2's camera stays out of, and the downwash cone below the upper
-    drone.
-    """
+    """The volume around D1 that D2's camera stays out of, and the air below the upper drone."""
 
     horizontal_m: Annotated[float, Bounds(0.1, 20.0)] = 0.60
     vertical_m: Annotated[float, Bounds(0.1, 20.0)] = 0.45
@@ -115,7 +113,12 @@ class SeparationConfig:
     marker_m: Annotated[float, Bounds(0.2, 20.0)] = 1.05
     # between the two bodies: the guard ends the mission below it
     minimum_m: Annotated[float, Bounds(0.2, 20.0)] = 0.70
-    downwash_half_angle_deg: Annotated[float, Bounds(0.0, 80.0)] = 30.0
+    # beside the upper drone's jet, just below it and more for each metre below: nearer it pushes the
+    # lower one harder than that holds (flight.wash)
+    wash_m: Annotated[float, Bounds(0.0, 20.0)] = 0.5
+    wash_per_m: Annotated[float, Bounds(0.0, 5.0, "m a metre")] = 0.073
+    # how far the jet leans, for each metre below: times the slope that wind tilts a drone by
+    wash_lean: Annotated[float, Bounds(0.0, 50.0, "times")] = 5.0
 
 
 @frozen

@@ -67,6 +67,8 @@ class DroneFacts:
 
     Attributes:
         diameter_m: over the tips of the propellers.
+        mass_kg: as it flies; None: what drones of that diameter usually weigh.
+        propeller_m: diameter of one of ``propellers``; None: the usual share of ``diameter_m``.
         hold_m: how far it wanders about a place that it is told to hold.
         response_s: until it has answered to 63 % of a new velocity.
         max_speed_mps: the fastest that the crew lets it fly.
@@ -75,11 +77,19 @@ class DroneFacts:
     """
 
     diameter_m: Annotated[float, Bounds(0.05, 5.0)] = 0.6
+    mass_kg: Annotated[float | None, Bounds(0.01, 50.0)] = None
+    propeller_m: Annotated[float | None, Bounds(0.01, 2.0)] = None
+    propellers: Annotated[int, Bounds(3, 16, "propellers")] = 4
     hold_m: Annotated[float, Bounds(0.005, 5.0)] = 0.2
     response_s: Annotated[float, Bounds(0.1, 5.0)] = 1.0
     max_speed_mps: Annotated[float, Bounds(0.1, 30.0)] = 5.0
     max_tilt_deg: Annotated[float, Bounds(2.0, 60.0)] = 20.0
     tilt_per_mps_deg: Annotated[float, Bounds(0.0, 20.0, "deg s/m")] = 1.75
+
+    def __post_init__(self) -> None:
+        if self.propeller_m is not None and self.propeller_m >= self.diameter_m:
+            said = f"{self.propeller_m!r} is not below diameter_m = {self.diameter_m!r}"
+            raise ValueError(f"propeller_m: {said}")
 
 
 @frozen

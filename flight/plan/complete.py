@@ -53,6 +53,7 @@ def complete(rig: Rig) -> Rig:
             method = _method_with(method, key, each.value)
     mission = _with_site(mission, rig)
     world = _with_obstacles(rig, _with_rangefinder(rig, _with_body(rig)))
+    world = _with_drone(rig, world)
     if mission == rig.mission and method == rig.method and world == rig.world and rig.depth is None:
         return rig
     return replace(
@@ -130,6 +131,17 @@ def _with_obstacles(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**world, "obstacles": {"known": known, **world.get("obstacles", {})}}
 
 
+def _with_drone(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a simulated world whose drones weigh what the rig's do, unless it says otherwise."""
+    if rig.drone is None or rig.harness is None:
+        return world
+    keys = ("diameter_m", "mass_kg", "propeller_m", "propellers")
+    known = {key: getattr(rig.drone, key) for key in keys}
+    own = {key: value for key, value in known.items() if value is not None}
+    air = world.get("air", {})
+    return {**world, "air": {**air, "drone": {**own, **air.get("drone", {})}}}
+
+
 def body_of(target: TargetFacts) -> dict[str, Any]:
     """Return the body that a simulated target has: of the kind that is nearest in shape, as large
     as stated.
@@ -158,7 +170,7 @@ def derived_of(rig: Rig) -> tuple[Derived, ...]:
     facts = facts_of(rig, mission)
     if rig.target is not None:
         return derive(facts, rig.named)
-    return derive_rest(facts, rig.named, flown_layout(facts, mission))
+    return derive_rest(facts, rig.named, flown_layout(facts, mission), rig.drone)
 
 
 def _with(

@@ -34,6 +34,7 @@ from flight.plan.geometry import (
 )
 from flight.plan.overlap import agreeing_share
 from flight.rendezvous.viewpoint import Viewpoint, farthest_m
+from flight.wash import keep_out_m, rotors_of, sinks_s
 from flight.way_out import LANDING_MPS
 from path.config import MethodConfig
 from path.values import frozen
@@ -45,6 +46,8 @@ WANDERS = 3.0
 USUAL_FOCAL_PX = 614.0  # of the camera for which the method's own pixels are
 # of a box's longer side: detectors were measured up to 300 (docs/detectors.md)
 MOST_TARGET_PX = 280.0
+# diameters below a drone: so deep its air is looked at, as deep as viewpoints are
+WASH_DEPTHS = (0.0, 0.75, 1.5, 2.25, 3.0)
 EDGE = 0.9  # of half the image: what a box keeps from the border
 WIDER = 1.05  # the next range to try
 MOST_WIDER = 40  # times: seven times the least range
@@ -94,6 +97,7 @@ def derive(facts: Facts, named: Named) -> tuple[Derived, ...]:
     """
     found = _Found(named)
     _separation(facts.drone, found)
+    _wash(facts.drone, found)
     _following(facts, found)
     _positions(facts, found)
     _rendezvous(facts, found)
@@ -103,11 +107,15 @@ def derive(facts: Facts, named: Named) -> tuple[Derived, ...]:
     return tuple(found.values)
 
 
-def derive_rest(facts: Facts, named: Named, placed: Layout) -> tuple[Derived, ...]:
-    """Derive what follows from the rate of frames and from how much the boxes overlap, for a rig
-    that says everything else itself.
+def derive_rest(
+    facts: Facts, named: Named, placed: Layout, drone: DroneFacts | None = None
+) -> tuple[Derived, ...]:
+    """Derive what follows from the rate of frames and from how much the boxes overlap, and from
+    drones that are stated, for a rig that says everything else itself.
     """
     found = _Found(named)
+    if drone is not None:
+        _wash(drone, found)
     if facts.method.common_view:
         usual_m = facts.method.evidence.offset_sigma_m
         offset_m = math.hypot(usual_m, COMMON_OFFSET_SHARE * placed.range_m)
@@ -165,6 +173,39 @@ def _separation(drone: DroneFacts, found: _Found) -> None:
     apart_m = least_m + 1.75 * drone.hold_m
     found.add("mission.separation.viewpoint_m", apart_m, "m", f"the least, and 1.75 {hold}")
     found.add("mission.separation.marker_m", apart_m, "m", "as between the bodies")
+
+
+def held_mps2(drone: DroneFacts) -> float:
+    """Return the acceleration that a drone holds its place against: what it wanders with anyway, and
+    no more than its tilt gives.
+    """
+    wanders_mps2 = WANDERS * drone.hold_m / drone.response_s**2
+    return min(wanders_mps2, GRAVITY_MPS2 * math.tan(math.radians(drone.max_tilt_deg)))
+
+
+def _wash(drone: DroneFacts, found: _Found) -> None:
+    """Derive how far the lower of two drones keeps from the upper one's air.
+
+    The radius at which that pushes as hard as a drone holds grows with the depth, less and less: a
+    straight line that is nowhere inside it.
+    """
+    rotors = rotors_of(drone)
+    held = held_mps2(drone)
+    depths_m = [share * drone.diameter_m for share in WASH_DEPTHS]
+    radii_m = [keep_out_m(rotors, max(depth_m, 0.01), held) for depth_m in depths_m]
+    per_m = max(0.0, (radii_m[-1] - radii_m[0]) / depths_m[-1])
+    line = (radius_m - per_m * depth_m for radius_m, depth_m in zip(radii_m, depths_m, strict=True))
+    least_m = max(line) + 0.5 * drone.hold_m
+    why = f"beside air that pushes by {held:.2g} m/s2, by drone.mass_kg and its propellers"
+    found.add("mission.separation.wash_m", least_m, "m", why)
+    found.add("mission.separation.wash_per_m", per_m, "", "and for each metre below")
+    middle_m = 0.5 * depths_m[-1]
+    carried = sinks_s(middle_m, rotors.size_m, rotors.hover_mps) / middle_m
+    per_slope = math.tan(math.radians(drone.tilt_per_mps_deg))
+    lean = 1.0 + carried / per_slope if per_slope > 0.0 else 0.0
+    found.add(
+        "mission.separation.wash_lean", lean, "", "times a drone's slope in wind, which carries it"
+    )
 
 
 def _following(facts: Facts, found: _Found) -> None:
@@ -284,7 +325,10 @@ def sway(facts: Facts) -> float:
 
 def separation_of(found: _Found) -> SeparationConfig:
     """Return the separations that hold."""
-    keys = ("horizontal_m", "vertical_m", "viewpoint_m", "marker_m", "minimum_m")
+    keys = (
+        *("horizontal_m", "vertical_m", "viewpoint_m", "marker_m", "minimum_m"),
+        *("wash_m", "wash_per_m", "wash_lean"),
+    )
     return SeparationConfig(**{key: found[f"mission.separation.{key}"] for key in keys})
 
 

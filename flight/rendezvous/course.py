@@ -29,6 +29,7 @@ from flight.rendezvous.viewpoint import (
     NoViewpoint,
     Viewpoint,
     ViewpointScene,
+    beside_wash_m,
     farthest_m,
     plan_viewpoint,
 )
@@ -303,8 +304,9 @@ class Rendezvous:
         distance_m = norm(way)
         closing_mps = -sum(a * b for a, b in zip(way, velocity, strict=True)) / distance_m
         separation = self._config.separation
-        if distance_m < (1.0 + _TOO_NEAR) * separation.minimum_m:
-            return f"{distance_m:.2f} m from the marker"
+        near = self._too_near(way, distance_m)
+        if near:
+            return near
         # farther off than any viewpoint the bounds of an approach are wide
         if distance_m > farthest_m(separation):
             return ""
@@ -312,6 +314,18 @@ class Rendezvous:
             return f"closing in at {closing_mps:.1f} m/s"
         if relative.sigma_m > _UNCERTAIN * rendezvous.max_position_sigma_m:
             return f"uncertain by {relative.sigma_m:.2f} m at {distance_m:.1f} m"
+        return ""
+
+    def _too_near(self, way: Vec3, distance_m: float) -> str:
+        """Return how D2 is too near to the marker, or to the air below the upper drone; ""."""
+        separation = self._config.separation
+        if distance_m < (1.0 + _TOO_NEAR) * separation.minimum_m:
+            return f"{distance_m:.2f} m from the marker"
+        middle = from_heading(_vec3(self._mount.T_b_v.t), self._peer().yaw_rad)
+        to_body = np.array([subtract(way, middle)])
+        beside_m = float(beside_wash_m(to_body, separation, np.array(self.tilt.down_n))[0])
+        if beside_m < separation.minimum_m - separation.viewpoint_m:
+            return f"in the air of the upper drone, {distance_m:.2f} m from the marker"
         return ""
 
     def _off_viewpoint(self, marker_n_m: Vec3) -> Vec3:

@@ -81,9 +81,9 @@ def plan_viewpoint(
     ``tilt_h`` is D2's body z axis in ``h`` while it hovers (unit, (3,)): wind tilts a drone, and
     with it a camera that is fixed to it. None: level.
 
-    Rules, in this order: separation ellipsoid, downwash cone of the upper drone, marker size in the
-    image, incidence on the marker, range to the target, not too near to it, marker and target
-    inside the image with margin, D1's body not in front of the target. The best of the rest has the
+    Rules, in this order: separation ellipsoid, air of the upper drone, marker size in the image,
+    incidence on the marker, range to the target, not too near to it, marker and target inside the
+    image with margin, D1's body not in front of the target. The best of the rest has the
     largest margin for its marker size. One that is nearer to the marker than
     ``separation.marker_m`` is taken only where there is no other, and then the farthest: two drones
     swing.
@@ -106,11 +106,7 @@ def plan_viewpoint(
             >= 1.0,
         ),
         ("too close", np.linalg.norm(to_body, axis=1) >= separation.viewpoint_m),
-        (
-            "downwash",
-            horizontal
-            >= np.abs(to_body[:, 2]) * math.tan(math.radians(separation.downwash_half_angle_deg)),
-        ),
+        ("downwash", beside_wash_m(to_body, separation, tilt_h) >= 0.0),
         ("marker too small", marker_px >= rendezvous.min_marker_px),
         ("too oblique", incidence <= math.radians(rendezvous.max_incidence_deg)),
         ("target too far", target_range <= rendezvous.max_range_m),
@@ -149,6 +145,24 @@ def plan_viewpoint(
         float(incidence[alive][index]),
         float(margin[index, share]),
     )
+
+
+def beside_wash_m(
+    to_other: Floats, separation: SeparationConfig, tilt_h: Floats | None = None
+) -> Floats:
+    """Return how far the lower of two drones is outside of the upper one's air, shape (n,).
+
+    The jet leans as a hovering drone does: it is thrown along its axis, and wind carries it on.
+
+    Args:
+        to_other: ways from this drone to the other, shape (n, 3), the third downward.
+        tilt_h: body z axis of a drone that hovers in that wind, in the same frame; None: no wind.
+    """
+    below = np.abs(to_other[:, 2])
+    to_lower = np.where(to_other[:, 2:] > 0.0, to_other[:, :2], -to_other[:, :2])
+    lean = np.zeros(2) if tilt_h is None else separation.wash_lean * tilt_h[:2] / tilt_h[2]
+    beside = np.linalg.norm(to_lower - below[:, None] * lean, axis=1)
+    return beside - separation.wash_m - separation.wash_per_m * below
 
 
 def farthest_m(separation: SeparationConfig) -> float:

@@ -84,6 +84,8 @@ def inject_in_world(
             world.send_lookalike(target)
         case "marker_hidden":
             world.hide_marker(leg[0], math.inf if value is None else value)
+        case "wash":
+            world.air.wash = 1.0 if value is None else value
         case "depth_holes":
             world.depth_holes(*leg)
         case "pilot_takeover" if role is not None:

@@ -13,6 +13,7 @@ from flight.harness.measured import MEASURED
 from flight.harness.renderer import Imaging
 from hil.autopilot.autopilot import AutopilotConfig
 from hil.autopilot.simulator import SimulatorConfig
+from hil.world.air import AirConfig
 from hil.world.detector import DetectorConfig
 from hil.world.dynamics import AirframeConfig
 from hil.world.errors import ErrorsConfig, level_of, put_down
@@ -118,6 +119,7 @@ class WorldConfig:
     scene: SceneConfig = field(default_factory=SceneConfig)
     imaging: ImagingConfig = field(default_factory=ImagingConfig)
     wind: WindConfig = field(default_factory=WindConfig)
+    air: AirConfig = field(default_factory=AirConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     position_offset: PositionOffsetConfig = field(default_factory=PositionOffsetConfig)
     altitude: AltitudeConfig = field(default_factory=AltitudeConfig)

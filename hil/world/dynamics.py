@@ -167,17 +167,19 @@ def _turn(s: Array, goal: Quat, attitude_error: Array, p: Parameters, dt: float)
 
 
 @inner
-def _move(s: Array, wind: Array, p: Parameters, dt: float) -> None:
+def _move(s: Array, wind: Array, push: Array, p: Parameters, dt: float) -> None:
     """Thrust, gravity and drag move the drone; the ground stops it."""
     w = s[6]
     x = s[7]
     y = s[8]
     z = s[9]
     thrust = s[13]
-    drag = p[11] * (1.0 - s[19])  # legs on the ground hold against wind
-    ax = -thrust * 2.0 * (x * z + w * y) - drag * (s[3] - wind[0])
-    ay = -thrust * 2.0 * (y * z - w * x) - drag * (s[4] - wind[1])
+    loose = 1.0 - s[19]  # legs on the ground hold against wind
+    drag = p[11] * loose
+    ax = -thrust * 2.0 * (x * z + w * y) - drag * (s[3] - wind[0]) + loose * push[0]
+    ay = -thrust * 2.0 * (y * z - w * x) - drag * (s[4] - wind[1]) + loose * push[1]
     az = GRAVITY_MPS2 - thrust * (1.0 - 2.0 * (x * x + y * y)) - drag * (s[5] - wind[2])
+    az += loose * push[2]
     s[3], s[4], s[5] = s[3] + ax * dt, s[4] + ay * dt, s[5] + az * dt
     s[0], s[1], s[2] = s[0] + s[3] * dt, s[1] + s[4] * dt, s[2] + s[5] * dt
     s[19] = 0.0
@@ -197,6 +199,7 @@ def _substep(
     s: Array,
     c: Array,
     wind: Array,
+    push: Array,
     velocity_error: Array,
     attitude_error: Array,
     p: Parameters,
@@ -226,7 +229,7 @@ def _substep(
     s[18] = (s[18] + HOVER_TURN_RATE * math.sqrt(max(s[13], 0.0) / GRAVITY_MPS2) * dt) % (
         2.0 * math.pi
     )
-    _move(s, wind, p, dt)
+    _move(s, wind, push, p, dt)
 
 
 @kernel
@@ -234,6 +237,7 @@ def fly(
     states: Array,
     commands: Array,
     winds: Array,
+    pushes: Array,
     velocity_errors: Array,
     attitude_errors: Array,
     parameters: Parameters,
@@ -246,6 +250,7 @@ def fly(
         states: (n, STATE_SIZE) rows.
         commands: (n, COMMAND_SIZE) rows, constant over the call.
         winds: (n, 3) air velocity at the drone, NED m/s.
+        pushes: (n, 3) by the air of others besides, NED m/s^2.
         velocity_errors: (n, 3) estimated minus true velocity: the loop follows what the estimator
             says.
         attitude_errors: (n, 3) estimated against true attitude, rotation vector in the body frame,
@@ -258,6 +263,7 @@ def fly(
                 states[i],
                 commands[i],
                 winds[i],
+                pushes[i],
                 velocity_errors[i],
                 attitude_errors[i],
                 parameters,

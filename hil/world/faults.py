@@ -91,6 +91,9 @@ FAULTS: dict[str, FaultKind] = {
             most=LONGEST_S,
         ),
         FaultKind("depth_holes", Role.SENDER, "no", "the depth cameras measure nothing on objects"),
+        FaultKind(
+            "wash", None, "must", "the air that drones throw down is so many times as fast as by their mass", True, 3.0
+        ),
         FaultKind("link_loss", None, "must", "this share of the packets is lost, both ways", True),
         FaultKind(
             "link_delay", None, "must", "packets come this many seconds late, with as much jitter", True, 60.0

@@ -21,6 +21,7 @@ from drivers.interfaces import FlightMode
 from flight.harness.fleet import NamedTarget
 from hil.autopilot.autopilot import Autopilot, Estimate
 from hil.autopilot.radio import CENTRED
+from hil.world.air import Air
 from hil.world.clutter import Crate
 from hil.world.config import HomeConfig, PositionOffsetConfig, WorldConfig
 from hil.world.detector import measured_on
@@ -38,7 +39,7 @@ from hil.world.dynamics import (
     standing,
 )
 from hil.world.estimator import Sensors
-from hil.world.fields import TargetField
+from hil.world.fields import NUMBERS, TargetField
 from hil.world.obstacles import crates_of, stand
 from hil.world.rangefinder import SimRangefinder
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
@@ -48,6 +49,7 @@ from path.messages import Quat, Role, Vec3
 STEP_HZ = 200
 STEPS_PER_TICK = 4
 TICK_S = STEPS_PER_TICK / STEP_HZ
+TARGET_STEPS = 4 * STEPS_PER_TICK  # between two looks at what the air does to targets
 TELEMETRY_TICKS = 128
 PILOT_LANDS_S = 15.0  # after he took a drone over he lands it where it is
 # before that, of the sticks: moved while it lands they would take it out of its landing
@@ -222,6 +224,9 @@ class Fleet:
         for i, name in enumerate(homes):
             self._sensors.position_bias[i] += off.get(name, (0.0, 0.0, 0.0))
         self._airframe = config.airframe.row()
+        light = max(1, len(targets)) if config.target.kind == "drone" else 0
+        drag_hz = config.airframe.drag_hz
+        self.air = Air(config.air, drag_hz, len(homes), light, seed, TICK_S)
         self._states = np.stack([at_home(home, config.airframe.leg_m) for home in homes.values()])
         self._commands = np.zeros((len(homes), COMMAND_SIZE))
         self._drones = {
@@ -294,6 +299,7 @@ class Fleet:
                 self._states,
                 self._commands,
                 sensors.winds,
+                self.air.pushes,
                 *errors,
                 self._airframe,
                 1.0 / STEP_HZ,
@@ -308,12 +314,32 @@ class Fleet:
 
     def _sense(self) -> None:
         rows = self._sensors.tick(self._states)
+        self.air.tick(self._states, self._sensors.winds)
+        self._move_targets()
         time_s = self._step / STEP_HZ
         altitude = self.config.altitude
         for number, (name, drone) in enumerate(self._drones.items()):
             if name in self.on:
                 drone.autopilot.altitude_error_m = altitude.error_m(number, time_s)
                 drone.sense(time_s, rows[number].tolist())
+
+    def _move_targets(self) -> None:
+        """Let the drones' air push what is light enough."""
+        count = len(self.air.shifts_w_m)
+        if not count or self._step % TARGET_STEPS:
+            return
+        now_s = max(0.0, self._step / STEP_HZ - self._traffic_began_s)
+        places = [self._traffic.target(number, now_s).position_w_m for number in range(count)]
+        by_s = TARGET_STEPS / STEP_HZ
+        self.air.move_targets(places, self._states, self._sensors.winds, by_s)
+
+    def _pushed(self, thing: ObjectTruth) -> ObjectTruth:
+        """Return a thing where the drones' air has pushed it."""
+        number, apart = divmod(thing.object_id, NUMBERS)
+        if apart or number >= len(self.air.shifts_w_m):
+            return thing
+        east, north, up = (self.air.shifts_w_m[number] + thing.position_w_m).tolist()
+        return replace(thing, position_w_m=(east, north, up))
 
     def _command(self) -> None:
         self._commanded_step = self._step
@@ -352,15 +378,16 @@ class Fleet:
     @property
     def all_objects(self) -> tuple[ObjectTruth, ...]:
         """All around all targets."""
-        return self._traffic.all(self.traffic_s)
+        return tuple(map(self._pushed, self._traffic.all(self.traffic_s)))
 
     def objects_near(self, name: str) -> tuple[ObjectTruth, ...]:
         """The objects that a drone may see."""
         north, east, _ = self._drones[name].true_position_n_m
-        return self._traffic.near((east, north), self.traffic_s)
+        near = self._traffic.near((east, north), self.traffic_s)
+        return tuple(map(self._pushed, near))
 
     def target(self, number: int = 0) -> ObjectTruth:
-        return self._traffic.target(number, self.traffic_s)
+        return self._pushed(self._traffic.target(number, self.traffic_s))
 
     @property
     def airborne(self) -> tuple[str, ...]:

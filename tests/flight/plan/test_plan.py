@@ -13,6 +13,7 @@ import pytest
 from drivers.rig.facts import TargetFacts
 from drivers.rig.parts import Mount, Rig
 from drivers.rig.tables import RigError
+from flight.config import SeparationConfig
 from flight.plan.checks import Flown, flown, problems
 from flight.plan.complete import derived_of
 from flight.plan.derive import derive
@@ -96,8 +97,9 @@ def test_what_another_rig_says_of_its_own_target_is_not_taken(
 
 # What does not grow with the world, and why: an acceleration of a tilt has gravity in it, and waits
 # have the times of take-off and landing, which are the vehicles' own. So is the speed of a landing,
-# which the way out has in it.
+# which the way out has in it. Air weighs the same at any size.
 ABSOLUTE = (
+    "wash",
     "mission.depart_m",
     "mission.max_accel_mps2",
     "method.relative_accel_mps2",
@@ -153,6 +155,32 @@ def test_lengths_and_speeds_grow_with_the_world(rig_of: RigOf, k: float) -> None
             near = 0.05 if "offset_sigma" in key or "apart" in key else 2e-3
             assert grown[key] == pytest.approx(k * value, rel=near), key
     assert len([key for key in base if not any(word in key for word in ABSOLUTE)]) > 20
+
+
+def test_the_room_below_a_drone_follows_from_its_mass_its_propellers_and_what_it_holds(
+    rig_of: RigOf,
+) -> None:
+    def keep_out(said: str) -> tuple[float, float, float]:
+        found = values(rig_of(said))
+        keys = ("wash_m", "wash_per_m", "wash_lean")
+        wide_m, per_m, lean = (found[f"mission.separation.{key}"] for key in keys)
+        return wide_m, per_m, lean
+
+    usual = keep_out("[drone]\ndiameter_m = 0.6\n")
+    settings = SeparationConfig()
+    assert usual == pytest.approx(
+        (settings.wash_m, settings.wash_per_m, settings.wash_lean), rel=0.02
+    )
+    small = keep_out("[drone]\ndiameter_m = 0.2\nmass_kg = 0.08\n")
+    large = keep_out("[drone]\ndiameter_m = 0.8\nmass_kg = 2.5\n")
+    assert small[0] < usual[0] < large[0]
+    assert small[2] > usual[2] > large[2]  # slow air is carried farther
+    steady = keep_out("[drone]\nhold_m = 0.2\nresponse_s = 0.5\n")
+    assert steady[0] < usual[0]
+    narrow = keep_out("[drone]\npropeller_m = 0.12\n")
+    assert narrow[2] < usual[2]  # the same thrust by smaller discs: faster air
+    world = rig_of("[drone]\nmass_kg = 2.0\npropellers = 6\n").world["air"]["drone"]
+    assert world == {"diameter_m": 0.6, "mass_kg": 2.0, "propellers": 6}
 
 
 def cameras(times: float) -> str:

@@ -90,6 +90,15 @@ def test_once_the_marker_was_seen_it_says_where_the_sender_is() -> None:
         (Seen(), ""),
         (Seen(known=False), ""),
         (Seen(marker_n_m=(0.8, 0.0, 0.2)), "0.82 m from the marker"),
+        (
+            Seen(marker_n_m=(-0.2, 0.0, 1.0)),
+            "in the air of the upper drone, 1.02 m from the marker",
+        ),
+        (
+            Seen(marker_n_m=(-0.2, 0.0, -1.0)),
+            "in the air of the upper drone, 1.02 m from the marker",
+        ),
+        (Seen(marker_n_m=(0.4, 0.0, 1.0)), ""),
         (Seen(velocity_n_mps=(-1.2, 0.0, 0.0)), "closing in at 1.1 m/s"),
         (Seen(velocity_n_mps=(1.2, 0.0, 0.0)), ""),
         (Seen(sigma_m=2.0 * MissionConfig().rendezvous.max_position_sigma_m), ""),

@@ -16,6 +16,7 @@ from flight.rendezvous.viewpoint import (
     NoViewpoint,
     Viewpoint,
     ViewpointScene,
+    beside_wash_m,
     plan_viewpoint,
 )
 from path.camera.model import CameraModel
@@ -136,7 +137,7 @@ def check_rules(
     level, vertical = math.hypot(to_body[0], to_body[1]), abs(float(to_body[2]))
     assert (level / apart.horizontal_m) ** 2 + (vertical / apart.vertical_m) ** 2 >= 1.0
     assert np.linalg.norm(to_body) >= apart.viewpoint_m
-    assert math.atan2(level, vertical) >= math.radians(apart.downwash_half_angle_deg) - 1e-9
+    assert level >= apart.wash_m + vertical * apart.wash_per_m - 1e-9
     assert np.linalg.norm(to_target) <= rules.max_range_m
 
     distance = float(np.linalg.norm(place))
@@ -250,7 +251,7 @@ def test_no_viewpoint_says_which_rule_left_none(rule: str, changes: dict[str, fl
             "downwash",
             replace(
                 APART,
-                downwash_half_angle_deg=89.0,
+                wash_m=5.0,
                 horizontal_m=0.1,
                 vertical_m=0.1,
                 viewpoint_m=0.1,
@@ -368,3 +369,15 @@ def test_a_body_beside_its_marker_is_kept_clear_of_too(right_m: float, down_m: f
     """How far a body is away is reckoned over both level axes: the plate may be on an arm."""
     view = replace(scene(), body_h_m=np.array([-0.8, right_m, down_m]))
     check_rules(Seen(view, found(view)))
+
+
+@pytest.mark.parametrize("upper", [True, False])
+def test_the_air_of_the_upper_drone_is_kept_out_of_where_wind_carries_it(upper: bool) -> None:
+    away = 1.0 if upper else -1.0
+    to_other = np.array([[away * 0.8, 0.0, away * 1.0], [away * -0.8, 0.0, away * 1.0]])
+    windward, leeward = beside_wash_m(to_other, APART, np.array([-0.05, 0.0, 1.0])).tolist()
+    calm = beside_wash_m(to_other, APART)
+    keep_m = APART.wash_m + APART.wash_per_m
+    assert calm == pytest.approx([0.8 - keep_m] * 2)
+    assert windward == pytest.approx(calm[0] + 0.05 * APART.wash_lean)
+    assert leeward == pytest.approx(calm[0] - 0.05 * APART.wash_lean)

@@ -60,7 +60,7 @@ def broken_rule(
     kept = {
         "separation": (level / APART.horizontal_m) ** 2 + (height / APART.vertical_m) ** 2 >= 1.0,
         "too close": body_m >= APART.viewpoint_m,
-        "downwash": level >= height * math.tan(math.radians(APART.downwash_half_angle_deg)),
+        "downwash": level >= APART.wash_m + height * APART.wash_per_m,
         "marker too small": 0.5 * (camera.fx + camera.fy) * view.marker_side_m / marker_m
         >= rules.min_marker_px,
         "too oblique": incidence <= math.radians(rules.max_incidence_deg),

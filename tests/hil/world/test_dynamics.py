@@ -38,6 +38,7 @@ class Drone:
         self.states = standing(0.0, 0.0, yaw, CONFIG.leg_m)[np.newaxis].copy()
         self.command = np.zeros((1, 5))
         self.wind = np.zeros((1, 3))
+        self.push = np.zeros((1, 3))
         self.velocity_error = np.zeros((1, 3))
         self.attitude_error = np.zeros((1, 3))
         self.told_yaw = yaw
@@ -62,7 +63,7 @@ class Drone:
 
     def step(self, steps: int) -> None:
         errors = self.velocity_error, self.attitude_error
-        fly(self.states, self.command, self.wind, *errors, CONFIG.row(), DT, steps)
+        fly(self.states, self.command, self.wind, self.push, *errors, CONFIG.row(), DT, steps)
 
     @property
     def rpy_deg(self) -> tuple[float, float, float]:
@@ -112,6 +113,16 @@ def test_it_leans_into_a_steady_wind_and_stays() -> None:
     assert drone.rpy_deg[1] == pytest.approx(
         -math.degrees(math.atan(CONFIG.drag_hz * 4.0 / GRAVITY_MPS2)), abs=0.2
     )
+
+
+def test_a_push_from_above_sinks_it_at_first_and_is_stood_against_then() -> None:
+    drone = Drone(5.0)
+    drone.push[0] = (0.0, 0.0, 2.0)
+    sinking = drone.go(8.0)
+    assert 0.2 < sinking[:, VELOCITY][:, 2].max() < 1.0
+    late = drone.go(1.0)
+    assert np.abs(late[:, VELOCITY]).max() < 0.05
+    assert late[-1, THRUST] == pytest.approx(GRAVITY_MPS2 + 2.0, abs=0.1)
 
 
 def test_the_wrong_level_of_the_estimator_is_flown_but_does_not_drift() -> None:
