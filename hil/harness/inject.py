@@ -105,8 +105,6 @@ def inject_in_world(
                 autopilot.config = replace(autopilot.config, offboard_loss_s=math.inf)
         case "battery_sag" if role is not None:
             world.battery(role, SAGGED if value is None else value)
-        case _:
-            pass
 
 
 def _step_estimator(name: str, drone: str, world: Fleet, by: float) -> None:

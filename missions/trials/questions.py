@@ -66,6 +66,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         options=("logs", "seconds"),
         short_in_all=True,
     ),
+    "wash": Experiment("flights.wash", "sim", short_in_all=True),
     "ambiguity": Experiment("rivals", options=("xfeat", "method"), without=XFEAT),
     "link": Experiment("cost.link"),
     "compute": Experiment("cost.compute", options=("xfeat",), without=XFEAT),
@@ -74,7 +75,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "pose": ("sensitivity", "static", "corners", "calibration", "real", "common-view"),
     "handovers": ("handshake", "evidence", "recall"),
-    "flights": ("dynamic", "beacon"),
+    "flights": ("dynamic", "beacon", "wash"),
     "rivals": ("ambiguity",),
     "cost": ("link", "compute", "soak"),
 }

@@ -24,7 +24,7 @@ QuestionName = Literal["pose", "handovers", "flights", "rivals", "cost"]
 ExperimentName = Literal[
     "sensitivity", "static", "corners", "calibration", "real", "common-view",
     "handshake", "evidence", "recall",
-    "dynamic", "beacon",
+    "dynamic", "beacon", "wash",
     "ambiguity",
     "link", "compute", "soak",
 ]  # fmt: skip

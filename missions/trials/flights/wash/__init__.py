@@ -1,0 +1,1 @@
+"""Both drones and the target moving."""
