@@ -84,8 +84,6 @@ def inject_in_world(
             world.send_lookalike(target)
         case "marker_hidden":
             world.hide_marker(leg[0], math.inf if value is None else value)
-        case "wash":
-            world.air.wash = 1.0 if value is None else value
         case "depth_holes":
             world.depth_holes(*leg)
         case "pilot_takeover" if role is not None:
@@ -97,14 +95,25 @@ def inject_in_world(
             _at_transmitter(name, world.drone(role).autopilot.radio.transmitter, away_until_s)
         case _ if role is not None and name.startswith(STEP):
             _step_estimator(name, role, world, value or 0.0)
-        case "detector_recall" | "detector_miss_frames" | "detector_false" | "detector_bias":
-            world.degrade_detectors(**{_OF_DETECTOR[name]: value or 0.0})
+        case (
+            "wash" | "detector_recall" | "detector_miss_frames" | "detector_false" | "detector_bias"
+        ):
+            _worsen(name, world, value or 0.0)
         case "no_failsafe":
             for drone in world.names:
                 autopilot = world.drone(drone).autopilot
                 autopilot.config = replace(autopilot.config, offboard_loss_s=math.inf)
         case "battery_sag" if role is not None:
             world.battery(role, SAGGED if value is None else value)
+        case _:
+            pass
+
+
+def _worsen(name: str, world: Fleet, value: float) -> None:
+    if name == "wash":
+        world.air.wash = value
+    else:
+        world.degrade_detectors(**{_OF_DETECTOR[name]: value})
 
 
 def _step_estimator(name: str, drone: str, world: Fleet, by: float) -> None:
