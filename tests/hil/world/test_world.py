@@ -14,6 +14,7 @@ import pytest
 from drivers.interfaces import FlightMode, VelocitySetpoint
 from drivers.rig.tables import RigError, decode_table
 from flight.guidance import subtract
+from hil.harness.inject import inject_in_world
 from hil.world.config import HomeConfig, PositionOffsetConfig, WorldConfig
 from hil.world.errors import ErrorsConfig
 from hil.world.estimator import EstimatorConfig, WindConfig
@@ -330,3 +331,10 @@ def test_what_is_on_the_ground_waits_until_it_is_told_to_begin() -> None:
     assert late.snapshot().objects[0].position_w_m == pytest.approx(
         prompt.snapshot().objects[0].position_w_m
     )
+
+
+def test_a_fault_makes_the_air_of_drones_stronger() -> None:
+    world = World(WorldConfig(), 1)
+    assert world.air.wash == 1.0
+    inject_in_world("wash", None, world, 2.0)
+    assert world.air.wash == 2.0
