@@ -77,7 +77,7 @@ class DroneFacts:
     """
 
     diameter_m: Annotated[float, Bounds(0.05, 5.0)] = 0.6
-    mass_kg: Annotated[float | None, Bounds(0.01, 50.0)] = None
+    mass_kg: Annotated[float | None, Bounds(0.01, 50.0, "kg")] = None
     propeller_m: Annotated[float | None, Bounds(0.01, 2.0)] = None
     propellers: Annotated[int, Bounds(3, 16, "propellers")] = 4
     hold_m: Annotated[float, Bounds(0.005, 5.0)] = 0.2
