@@ -10,7 +10,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 def test_the_index_of_decisions_has_every_one_by_its_title() -> None:
     index = (DOCS / "decisions" / "README.md").read_text("utf-8")
-    listed = re.findall(r"^\| \[(\d{4})\]\((\S+)\) \| (.+) \|$", index, re.MULTILINE)
+    listed = re.findall(r"^- \[(\d{4})\]\((\S+)\) (.+)$", index, re.MULTILINE)
     files = sorted((DOCS / "decisions").glob("0*.md"))
     titles = [file.read_text("utf-8").splitlines()[0].removeprefix("# ").strip() for file in files]
     assert listed == [
