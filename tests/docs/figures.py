@@ -254,7 +254,7 @@ def value_at(summary: Any, path: str) -> Any:
 def as_text(value: Any, form: str) -> str:
     """Returns a value as a page shows it: ``form`` is one of those of docs/figures/README.md."""
     if value is None:
-        return "| – | | | | | |" if form.startswith("findings") else "–"
+        return "| – | | | |" if form.startswith("findings") else "–"
     if form == "counts":
         return (
             ", ".join(f"{count} `{what}`" for what, count in value.items() if what != "committed")
@@ -262,10 +262,10 @@ def as_text(value: Any, form: str) -> str:
         )
     if form.startswith("findings"):
         shown = form.removeprefix("findings").strip()
-        said = {"met": "met", "short": "falls short", "measured": ""}
-        row = "| {quantity} | {ours} | {interval} | {paper} | {goal} |"
+        said = {"met": ", met", "short": ", **falls short**", "measured": ""}
+        row = "| {quantity} | {ours} | {interval} | {paper} | {goal}"
         return "\n".join(
-            f"{row.format(**finding)} {said[finding['verdict']]} |"
+            f"{row.format(**finding)}{said[finding['verdict']]} |"
             for finding in value
             if not shown or any(part in finding["quantity"] for part in shown.split("; "))
         )

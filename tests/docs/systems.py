@@ -247,7 +247,7 @@ def _row(name: str, found: Kept) -> str:
     agreement = _pair(expected.get("agreement_s"), found.agreement_s)
     committed = f"{found.outcomes.get('committed', 0)} of {found.runs}"
     ends = "; ".join([committed, *(f"{count} `{what}`" for what, count in others.items())])
-    cells = (_described(name).replace(", ", " | ", 1), ends, agreement)
+    cells = (_described(name), ends, agreement)
     return f"| {' | '.join(cells)} |\n"
 
 

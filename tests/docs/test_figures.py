@@ -187,7 +187,7 @@ def test_values_are_found_by_their_path_and_told_by_their_form() -> None:
         "goal": "≤ 8",
         "verdict": "met",
     }
-    assert as_text([finding], "findings") == "| D2 | 4 | 3 to 5 | 47 | ≤ 8 | met |"
+    assert as_text([finding], "findings") == "| D2 | 4 | 3 to 5 | 47 | ≤ 8, met |"
     assert as_text([finding], "findings D1; D2") == as_text([finding], "findings")
     assert as_text([finding], "findings target") == ""
     assert (as_text(15120, ""), as_text({"S9": 1}, "counts"), as_text({}, "counts")) == (

@@ -26,9 +26,8 @@ path-handoff conformance --no-fly --out conformance --page docs/conformance.md  
 ```
 
 {flights} flights of each vehicle, one of a kind: examples, not means. Heights and speeds are the
-simulations' truth, modes are what heartbeats show (a PX4 beats once a second). The embedded world has
-wind (1.5 m/s, gusts 0.4 m/s). On the wire the embedded vehicle is a PX4: what is like a PX4's is left
-out. “Never”: not within the time that was waited.
+simulations' truth, modes are what heartbeats show. The embedded world has wind (1.5 m/s, gusts 0.4 m/s). On
+the wire the embedded vehicle is a PX4: what is like a PX4's is left out, and the terminal has it.
 """
 AS_MEANT = ("both", NAMES["px4"])
 
@@ -65,13 +64,13 @@ def terminal_table(records: Mapping[str, Record]) -> Table:
 
 def page(records: Mapping[str, Record], flights: int) -> str:
     """The page as Markdown."""
-    titles = ["", *(NAMES[name] for name in records), LAST]
+    titles = ["", *(NAMES[name] for name in records)]
     lines = [HEAD.format(flights=flights), *_conditions(records), ""]
     lines += [_line(titles), _line(["---"] * len(titles))]
     for section, rows in cells(records):
         told = list(_differing(rows))
         if told:
-            lines.append(_line([f"**{section}**", *([""] * (len(titles) - 1))]))
+            lines.append(f"| **{section}** |")
             lines += [_line(texts) for texts in told]
     failures = [
         f"- {NAMES[name]}, {flight}: {why}"
@@ -89,7 +88,7 @@ def _differing(rows: list[tuple[Row, list[str]]]) -> Iterator[list[str]]:
     kept: list[list[str]] = []
     for row, texts in reversed(rows):
         if goes_on or texts[-1] not in AS_MEANT:
-            kept.append([row.title, *texts])
+            kept.append([row.title, *texts[:-1]])
             goes_on = row.title.startswith("...")
     yield from reversed(kept)
 
