@@ -24,14 +24,19 @@ rangefinder_max_m = 12.0     # how far the drones' rangefinders measure; leave o
 
 [site]
 wind_mps = 4.0               # the strongest mean wind to fly in
+
+[detector]
+measured = "measured.json"   # by `path-handoff detect --measure`; leave out for what is usual
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
+from drivers.detectors.measured import Rates, read_measured
 from drivers.rig.obstacle import Obstacle
 from path.bounds import Bounds
 from path.values import frozen
@@ -139,6 +144,23 @@ class LinkFacts:
 
     latency_s: Annotated[float, Bounds(0.0, 2.0)] = 0.02
     loss: Annotated[float, Bounds(0.0, 0.9, "of 1")] = 0.0
+
+
+@frozen
+class DetectorFacts:
+    """How well detectors find such targets.
+
+    Attributes:
+        measured: file that ``path-handoff detect --measure`` wrote.
+        light: of those pictures the ones that count; None: all.
+    """
+
+    measured: Path
+    light: Literal["dark", "dim", "bright"] | None = None
+
+    def rates(self) -> Rates:
+        """Return what was measured. Raises PartError for a file that says nothing of it."""
+        return read_measured(self.measured, self.light)
 
 
 @frozen

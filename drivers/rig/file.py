@@ -13,7 +13,7 @@ harness = "hil.harness.sitl:Sitl"            # left out in the field
 [[drones]]                           # ... its drones by name: homes, parts, batteries
 [[targets]]                          # ... and the targets that it keeps observed
 [reference.sender], .receiver, .target   # beacons that trials measure against; [reference.beacons] is who listens
-[target], [drone], [depth], [link], [site]   # what was measured (drivers.rig.facts): distances, times follow
+[target], [drone], [depth], [link], [height], [site], [detector]   # what was measured (drivers.rig.facts)
 [[markers]]                          # the marker layout on the sender, in frame v
 [sender.vehicle]                     # a part: its factory, and the options of its Config
 factory = "drivers.mavlink.vehicle:MavsdkVehicle"
@@ -47,6 +47,7 @@ from drivers.rig.calibration_file import (
 )
 from drivers.rig.facts import (
     DepthFacts,
+    DetectorFacts,
     DroneFacts,
     HeightFacts,
     LinkFacts,
@@ -173,6 +174,7 @@ class _RigTable:
     depth: DepthFacts | None = None
     link: LinkFacts | None = None
     height: HeightFacts | None = None
+    detector: DetectorFacts | None = None
 
     def __post_init__(self) -> None:
         self.layout()

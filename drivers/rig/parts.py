@@ -17,7 +17,15 @@ from typing import Annotated, Any, Literal
 
 from drivers.beacons.log import Mounted
 from drivers.interfaces import Clock, PartError
-from drivers.rig.facts import DepthFacts, DroneFacts, HeightFacts, LinkFacts, SiteFacts, TargetFacts
+from drivers.rig.facts import (
+    DepthFacts,
+    DetectorFacts,
+    DroneFacts,
+    HeightFacts,
+    LinkFacts,
+    SiteFacts,
+    TargetFacts,
+)
 from drivers.rig.own_file import ended_by, module_of
 from drivers.rig.tables import RigError, decode_table, suggestion
 from drivers.steady_clock import SteadyClock
@@ -193,7 +201,7 @@ class Rig:
     ``trials`` names what trials measure against, ``module:name`` by purpose; ``reference`` is None
     without beacons; ``folders`` are where a rig that this one is like was looked up by name.
 
-    ``target``, ``drone``, ``depth``, ``link``, ``height`` and ``site`` are what was measured
+    ``target``, ``drone``, ``depth``, ``link``, ``height``, ``site`` and ``detector`` are what was measured
     (``drivers.rig.facts``); None where the rig says what follows from it by itself. ``named`` are
     the values of ``[method]`` and ``[mission]`` that
     the rig names, by dotted key.
@@ -224,6 +232,7 @@ class Rig:
     depth: DepthFacts | None = None
     link: LinkFacts | None = None
     height: HeightFacts | None = None
+    detector: DetectorFacts | None = None
     named: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def role(self, role: Role) -> RoleRig:

@@ -36,6 +36,7 @@ _UNUSED = (
     "depth",
     "link",
     "height",
+    "detector",
 )
 """Tables that have nothing to do with a camera or where it sits."""
 

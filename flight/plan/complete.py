@@ -54,6 +54,7 @@ def complete(rig: Rig) -> Rig:
     mission = _with_site(mission, rig)
     world = _with_obstacles(rig, _with_rangefinder(rig, _with_body(rig)))
     world = _with_drone(rig, world)
+    world = _with_detector(rig, world)
     if mission == rig.mission and method == rig.method and world == rig.world and rig.depth is None:
         return rig
     return replace(
@@ -140,6 +141,21 @@ def _with_drone(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
     own = {key: value for key, value in known.items() if value is not None}
     air = world.get("air", {})
     return {**world, "air": {**air, "drone": {**own, **air.get("drone", {})}}}
+
+
+def _with_detector(rig: Rig, world: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a simulated world whose detectors find what the rig's were measured to, unless it says
+    otherwise.
+    """
+    if rig.detector is None or rig.harness is None:
+        return world
+    rates = rig.detector.rates()
+    own: dict[str, Any] = {
+        "by_size": [list(each) for each in rates.by_size],
+        "false_positives": rates.false_positives,
+        "miss_frames": rates.miss_frames,
+    }
+    return {**world, "detector": {**own, **world.get("detector", {})}}
 
 
 def body_of(target: TargetFacts) -> dict[str, Any]:

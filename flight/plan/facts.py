@@ -10,6 +10,7 @@ import math
 from dataclasses import field, replace
 from typing import Any
 
+from drivers.detectors.measured import BySize
 from drivers.rig.facts import DroneFacts, HeightFacts, LinkFacts, SiteFacts, TargetFacts
 from drivers.rig.parts import Mount, PartSpec, Rig, RoleRig, decode_part
 from flight.config import MissionConfig
@@ -40,6 +41,8 @@ class Facts:
         attitude_sigma_rad: of either vehicle's roll and pitch.
         size_sigma: of a range by the target's size, relative, where D1 has no depth; 0: it has.
         height_sigma_m: of D1's height over the ground of the target, where that ranges it.
+        found: share of the images in which the target is found, by its longer side in px; () where
+            nobody measured it.
     """
 
     sender: Eye
@@ -54,6 +57,7 @@ class Facts:
     height: HeightFacts | None = None
     size_sigma: float = 0.0
     height_sigma_m: float = 0.0
+    found: BySize = ()
 
     def with_side(self, side_m: float) -> Facts:
         """Return these facts with another print."""
@@ -75,6 +79,7 @@ def facts_of(rig: Rig, mission: MissionConfig) -> Facts:
         height=rig.height,
         size_sigma=_size_sigma(rig.sender),
         height_sigma_m=0.0 if mission.target.flies else mission.height_sigma_m,
+        found=() if rig.detector is None else rig.detector.rates().by_size,
     )
 
 

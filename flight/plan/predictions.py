@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 
+from drivers.detectors.measured import recall_at
 from drivers.link.wire import PART_WIRE_BYTES
 from flight.common_view import parts_hz
 from flight.plan.checks import (
@@ -16,7 +17,8 @@ from flight.plan.checks import (
     nearest_told_apart_m,
 )
 from flight.plan.errors import Predicted, predict
-from flight.plan.geometry import apparent
+from flight.plan.facts import Facts
+from flight.plan.geometry import Apparent, apparent
 from flight.rendezvous.viewpoint import Viewpoint
 from path.values import frozen
 
@@ -75,6 +77,7 @@ def _sight(of: Flown) -> list[Prediction]:
             theirs_px,
             f"{theirs_px:.0f} px, from {of.placed.receiver_range_m:.2f} m",
         ),
+        *_found(facts, seen, share * zoom),
         Prediction(
             "margin_px",
             "room to the border of D2's image",
@@ -82,6 +85,17 @@ def _sight(of: Flown) -> list[Prediction]:
             f"{viewpoint.margin_px:.0f} px",
         ),
     ]
+
+
+def _found(facts: Facts, seen: Apparent, zoom: float) -> list[Prediction]:
+    """Predict how often both detectors find the target, where that was measured."""
+    if not facts.found:
+        return []
+    side_px = max(seen.width_px, seen.height_px)
+    ours = recall_at(facts.found, side_px)
+    theirs = recall_at(facts.found, zoom * side_px)
+    said = f"{100.0 * ours:.0f} % of D1's, {100.0 * theirs:.0f} % of D2's"
+    return [Prediction("found_share", "frames in which it is found", ours * theirs, said)]
 
 
 def _errors(of: Flown) -> list[Prediction]:

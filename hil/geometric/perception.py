@@ -27,7 +27,7 @@ from hil.camera.capture import (
     timing_of,
     true_camera,
 )
-from hil.geometric.kernels import fold, fold_both
+from hil.geometric.kernels import X0, X1, Y0, Y1, fold, fold_both
 from hil.geometric.markers import marker
 from hil.geometric.noise import ObservationNoise, noise_in
 from hil.geometric.scene import Array, CameraSetup, Placed, outlines, place
@@ -188,7 +188,7 @@ class GeometricView:
         if snapshot.detector is not PERFECT and snapshot.detector != PERFECT:
             spells = sensor.spells
             detector = snapshot.detector
-            self._missed = spells.missed(self.frame_id, len(snapshot.objects), detector)
+            self._missed = spells.missed(self.frame_id, self._sides_px(), detector)
             self._invented = spells.invented(self.frame_id, sensor.setup.camera, detector)
 
     @cached_property
@@ -203,6 +203,13 @@ class GeometricView:
     @cached_property
     def _outlines(self) -> Array:
         return outlines(self._sensor.setup, self._placed)
+
+    def _sides_px(self) -> list[float]:
+        """Return the longer side of what is visible of each object; 1 where nothing is."""
+        if not self._snapshot.detector.by_size:
+            return [1.0] * len(self._snapshot.objects)
+        seen = self._outlines
+        return np.maximum(seen[:, X1] - seen[:, X0], seen[:, Y1] - seen[:, Y0]).clip(1.0).tolist()
 
     def _key(self, question: int, frames: int = 1) -> int:
         """A key for random numbers that stay the same for so many frames."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hil.geometric.kernels import fold
@@ -39,12 +40,16 @@ class Spells:
     def missed(
         self,
         frame: int,
-        things: int,
+        sides_px: Sequence[float],
         config: DetectorConfig,
     ) -> tuple[int, ...]:
-        """The things, of so many, that the detector does not find in this frame."""
-        share = 1.0 - config.recall
-        return tuple(k for k in range(things) if self._at(k, frame, share, config.miss_frames).on)
+        """The things that the detector does not find in this frame, of those whose boxes are so
+        long.
+        """
+        shares = [1.0 - config.recall_at(side_px) for side_px in sides_px]
+        return tuple(
+            k for k, share in enumerate(shares) if self._at(k, frame, share, config.miss_frames).on
+        )
 
     def invented(
         self,

@@ -35,7 +35,7 @@ def lengths(on: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("recall", "frames"), [(0.9, 5.0), (0.7, 15.0), (0.99, 1.0)])
 def test_things_are_missed_as_often_and_for_as_long_as_said(recall: float, frames: float) -> None:
     spells, config = Spells(11), DetectorConfig(recall, frames)
-    missed = [spells.missed(frame, 2, config) for frame in range(FRAMES)]
+    missed = [spells.missed(frame, [1.0, 1.0], config) for frame in range(FRAMES)]
     first, second = (np.array([k in each for each in missed]) for k in (0, 1))
     for on in (first, second):
         assert np.mean(on) == pytest.approx(1.0 - recall, rel=0.15)
@@ -47,10 +47,10 @@ def test_things_are_missed_as_often_and_for_as_long_as_said(recall: float, frame
 def test_the_same_seed_misses_the_same_and_frames_may_be_left_out() -> None:
     config = DetectorConfig(0.8, 4.0)
     all_frames, some = Spells(5), Spells(5)
-    by_frame = {frame: all_frames.missed(frame, 1, config) for frame in range(400)}
+    by_frame = {frame: all_frames.missed(frame, [1.0], config) for frame in range(400)}
     for frame in range(0, 400, 3):
-        assert some.missed(frame, 1, config) == by_frame[frame]
-    assert {frame: Spells(6).missed(frame, 1, config) for frame in range(400)} != by_frame
+        assert some.missed(frame, [1.0], config) == by_frame[frame]
+    assert {frame: Spells(6).missed(frame, [1.0], config) for frame in range(400)} != by_frame
 
 
 def test_an_invention_stays_where_it_is_for_its_spell() -> None:
@@ -97,3 +97,24 @@ def test_a_bias_moves_every_box() -> None:
     moved = view(7, sensor(), DetectorConfig(edge_px=4.0)).targets(None)
     assert [each.box.x + 4.0 for each in plain] == pytest.approx([each.box.x for each in moved])
     assert [each.box.y + 4.0 for each in plain] == pytest.approx([each.box.y for each in moved])
+
+
+def test_small_things_are_missed_more_often_where_that_was_measured() -> None:
+    spells = Spells(7)
+    config = DetectorConfig(miss_frames=4.0, by_size=((20.0, 0.2), (80.0, 0.9)))
+    missed = [spells.missed(frame, [10.0, 40.0, 300.0], config) for frame in range(FRAMES)]
+    shares = [np.mean([k in each for each in missed]) for k in range(3)]
+    assert shares == pytest.approx([0.8, 0.45, 0.1], rel=0.1)
+
+
+def test_a_view_asks_for_each_things_own_size() -> None:
+    all_seen = DetectorConfig(by_size=((1.0, 0.0), (5.0, 0.0), (6.0, 1.0)))
+    assert len(view(1, sensor(), all_seen).targets(None)) == 2
+    none_seen = DetectorConfig(by_size=((5000.0, 0.0), (6000.0, 1.0)))
+    assert view(1, sensor(), none_seen).targets(None) == []
+
+
+@pytest.mark.parametrize("by_size", [((40.0, 0.5), (20.0, 0.6)), ((0.0, 0.5),), ((20.0, 85.0),)])
+def test_sizes_that_cannot_be_are_refused(by_size: tuple[tuple[float, float], ...]) -> None:
+    with pytest.raises(ValueError, match="by_size"):
+        DetectorConfig(by_size=by_size)
