@@ -13,8 +13,10 @@ from drivers.interfaces import VehicleState, VelocitySetpoint
 from drivers.rig.parts import Mount
 from flight.config import MissionConfig
 from flight.guidance import (
+    Answer,
     Vec3,
     add,
+    approach,
     bearing,
     close_in,
     from_heading,
@@ -240,11 +242,16 @@ class Rendezvous:
     def _by_position(
         self, place_n_m: Vec3, state: VehicleState, yaw_rad: float
     ) -> VelocitySetpoint:
-        error = subtract(place_n_m, state.position_n_m)
-        gain = self._config.rendezvous.gain_per_s
-        return VelocitySetpoint(
-            close_in(error, self._peer().velocity_n_mps, gain, _TRANSIT_MPS), yaw_rad
+        config = self._config
+        answer = Answer(
+            config.rendezvous.gain_per_s,
+            _TRANSIT_MPS,
+            config.follow.response_s,
+            config.max_accel_mps2,
         )
+        error = subtract(place_n_m, state.position_n_m)
+        velocity = approach(error, state.velocity_n_mps, self._peer().velocity_n_mps, answer)
+        return VelocitySetpoint(velocity, yaw_rad)
 
     # --- approach: by the marker alone
 

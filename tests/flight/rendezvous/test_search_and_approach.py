@@ -51,13 +51,38 @@ def at_viewpoint(
 def test_the_way_to_the_stand_off_is_flown_at_a_metre_a_second_beside_a_sender_that_moves() -> None:
     guide = moving(CONFIG, Seen())
     place, yaw = guide._facing_marker(guide.stand_off_m)
-    far = state(add(place, (-9.0, 0.0, 0.0)))
+    far = beside(add(place, (-9.0, 0.0, 0.0)))
     setpoint = guide.to_stand_off(far)
     assert setpoint.velocity_n_mps == pytest.approx(add(PEER.velocity_n_mps, (1.0, 0.0, 0.0)))
     assert setpoint.yaw_rad == yaw
-    near = state(add(place, (0.0, 0.1, -0.2)))
+    near = beside(add(place, (0.0, 0.1, -0.2)))
     wanted = add(PEER.velocity_n_mps, scale((0.0, -0.1, 0.2), RULES.gain_per_s))
     assert guide.to_stand_off(near).velocity_n_mps == pytest.approx(wanted)
+
+
+def beside(position_n_m: Vec3) -> VehicleState:
+    """A drone that moves as the sender does."""
+    return replace(state(position_n_m), velocity_n_mps=PEER.velocity_n_mps)
+
+
+@pytest.mark.parametrize("response_s", [0.3, 1.0, 2.0])
+def test_a_drone_that_answers_late_comes_to_rest_at_the_stand_off_and_not_behind_it(
+    response_s: float,
+) -> None:
+    config = replace(CONFIG, follow=replace(CONFIG.follow, response_s=response_s))
+    guide = moving(config, Seen(), replace(PEER, velocity_n_mps=(0.0, 0.0, 0.0)))
+    place, _ = guide._facing_marker(guide.stand_off_m)
+    position = add(place, (-5.0, 0.0, 0.0))
+    velocity = (0.0, 0.0, 0.0)
+    past_m = []
+    for _ in range(1500):
+        drone = replace(state(position), velocity_n_mps=velocity)
+        wanted = guide.to_stand_off(drone).velocity_n_mps
+        velocity = add(velocity, scale(subtract(wanted, velocity), 0.02 / response_s))
+        position = add(position, scale(velocity, 0.02))
+        past_m.append(position[0] - place[0])
+    assert max(past_m) < 0.1 * RULES.stand_off_tolerance_m
+    assert past_m[-1] == pytest.approx(0.0, abs=0.01)
 
 
 def test_at_the_stand_off_is_nearer_than_its_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
