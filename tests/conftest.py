@@ -11,6 +11,8 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
+import sys
 import tempfile
 from collections.abc import Generator
 from pathlib import Path
@@ -19,17 +21,23 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from tests.kernels import compile_kernels
+from tests.kernels import LIMIT_S, compile_kernels, compile_tests
 from tests.left_behind import end_left_behind
 from tests.overloaded import REPEATED, Repeating, repetitions
 from tests.scheduling import Groups, be_nice, told_by_group
 
 # as in missions, and before any test loads numpy
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Workers and hundreds of short programs load the same modules: each is compiled once, and kept beside
+# the kernels, which are kept in any case.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 FLYING = pytest.StashKey[Path]()
 """In the process that hands tests out: a file that is there while something flies."""
+COMPILING = pytest.StashKey[list[subprocess.Popen[bytes]]]()
+"""There too: what compiles kernels."""
 
 
 # Signals that whoever began the tests ignores (nohup, a shell's `&`) would be ignored by the
@@ -67,15 +75,17 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
     Some of the tests are run without workers, which take seconds to start and cannot show output.
     """
-    return 7 if config.args_source is config.ArgsSource.TESTPATHS else 0
+    if config.args_source is not config.ArgsSource.TESTPATHS or config.option.collectonly:
+        return 0
+    config.stash[COMPILING] = compile_kernels()
+    compile_tests()
+    return 7
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
-    """Compile what a fresh copy has not compiled yet, while workers collect: each of them would
-    compile it for itself.
-    """
-    if config.args_source is config.ArgsSource.TESTPATHS:
-        compile_kernels()
+    """Hand out tests once kernels are compiled, which began before workers did."""
+    for process in config.stash.get(COMPILING, []):
+        process.wait(LIMIT_S)
     return Groups(config, log, config.stash[FLYING])
 
 
