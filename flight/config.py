@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from drivers.interfaces import Capability
 from drivers.operator.interfaces import PlaceTold
+from drivers.rig.obstacle import Obstacle
 from flight.fence import Fence
 from flight.guard.rules import GuardRules
 from flight.guidance import Answer, Vec3
@@ -167,8 +168,10 @@ class GuardConfig:
     fence_height_m: Annotated[float, Bounds(1.0, 120.0)] = 6.0
     # (north, east) of the corners of a site with walls, in order; empty: the circle alone
     corners_m: Annotated[tuple[tuple[float, float], ...], Bounds(-1000.0, 1000.0)] = ()
-    # from those walls, besides a body's radius: how far a drone wanders, and what its positions are
-    # worth
+    # what stands in the way, as far as the crew knows
+    obstacles: tuple[Obstacle, ...] = ()
+    # from walls and obstacles, besides a body's radius: how far a drone wanders, and what its
+    # positions are worth
     clear_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0
     min_battery: Annotated[float, Bounds(0.05, 0.9, "of 1")] = 0.20
     telemetry_age_s: Annotated[float, Bounds(0.05, 5.0)] = 0.5
@@ -184,7 +187,9 @@ class GuardConfig:
 
     def fence(self, body_m: float = 0.0) -> Fence:
         """Return the space in which the drones may be."""
-        return Fence(self.fence_radius_m, self.fence_height_m, self.corners_m, body_m)
+        return Fence(
+            self.fence_radius_m, self.fence_height_m, self.corners_m, body_m, self.obstacles
+        )
 
 
 @frozen

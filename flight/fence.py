@@ -1,15 +1,33 @@
-"""The space in which drones may be: a circle with a ceiling, and inside it a polygon where the site
-has edges. Pure.
+"""The space in which drones may be: a circle with a ceiling, inside it a polygon where the site has
+edges, and in that what stands in the way. Pure.
 
 Script, guard and monitors ask the same fence. A polygon has walls: besides ending a flight that
-crosses one, it slows every setpoint so that the drone can stop before it.
+crosses one, it slows every setpoint so that the drone can stop before it. Obstacles slow it alike.
+Every way that is flown is a ``Way``: ``towards`` leads around what is in between.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 
-from flight.guidance import Vec3, within_fence
+import numpy as np
+
+from drivers.rig.obstacle import Obstacle
+from flight.guidance import Vec3, dot, norm, scale, subtract, within_fence
+from flight.obstacles.shapes import (
+    between,
+    corners,
+    hidden,
+    level_m,
+    pushed_off,
+    rows_of,
+    to_nearest,
+    walls_of,
+)
+from flight.obstacles.way import first_leg
+from path.arrays import Array, Flags
 from path.values import value
 
 Corner = tuple[float, float]
@@ -24,14 +42,16 @@ class Fence:
         radius_m, height_m: of a circle around the origin, and of its ceiling.
         corners_m: (north, east) of the site's corners, in order either way; empty: the circle
             alone.
-        body_m: radius of a drone: its middle stays so far from an edge, and from the ceiling of a
-            site that has edges.
+        body_m: radius of a drone: its middle stays so far from an edge, from an obstacle, and from
+            the ceiling of a site that has edges.
+        obstacles: what stands in it.
     """
 
     radius_m: float
     height_m: float
     corners_m: tuple[Corner, ...] = ()
     body_m: float = 0.0
+    obstacles: tuple[Obstacle, ...] = ()
 
     def holds(self, position_n_m: Vec3) -> bool:
         """Return whether a place is inside; False for NaN."""
@@ -53,10 +73,31 @@ class Fence:
         """Return the height up to which a drone has room."""
         return self.height_m - self.body_m if self.corners_m else self.height_m
 
-    def nearest(self, place_n_m: Vec3, clear_m: float = 0.0) -> Vec3:
-        """Return the nearest place that is inside, and so far from its limits as far as there is
-        room.
+    def shifted(self, north_m: float, east_m: float) -> Fence:
+        """Return the fence of a drone whose position is off by so much, as far as its obstacles
+        go.
         """
+        moved = [
+            replace(each, place_m=(each.place_m[0] + north_m, each.place_m[1] + east_m))
+            for each in self.obstacles
+        ]
+        return replace(self, obstacles=tuple(moved))
+
+    @property
+    def confines(self) -> bool:
+        """Return whether there is more to keep off than the circle."""
+        return bool(self.corners_m or self.obstacles)
+
+    def nearest(self, place_n_m: Vec3, clear_m: float = 0.0, lowest_m: float = math.inf) -> Vec3:
+        """Return the nearest place that is inside, and so far from its limits and from obstacles as
+        far as there is room.
+
+        Args:
+            lowest_m: the height to which it goes down there.
+        """
+        return self._off_obstacles(self._inside_edges(place_n_m, clear_m), clear_m, lowest_m)
+
+    def _inside_edges(self, place_n_m: Vec3, clear_m: float) -> Vec3:
         height_m = self.highest_m - clear_m
         north, east, down = within_fence(place_n_m, self.radius_m - clear_m, height_m)
         wanted_m = self.body_m + clear_m
@@ -67,6 +108,46 @@ class Fence:
             north, east = self._moved_in(north, east, room_m, wanted_m - room_m)
         return north, east, down
 
+    def _off_obstacles(self, place_n_m: Vec3, clear_m: float, lowest_m: float) -> Vec3:
+        if not self.obstacles:
+            return place_n_m
+        north, east, down = place_n_m
+        wanted_m = self.body_m + clear_m
+        rows = between(rows_of(self.obstacles), min(lowest_m, -down), -down, wanted_m)
+        place = np.array([[north, east]])
+        choices = np.concatenate(
+            (place, pushed_off(rows, place, wanted_m), corners(rows, wanted_m))
+        )
+        away_m = level_m(rows, choices).min(axis=1, initial=math.inf)
+        room_m = np.array([self.room_m(*choice) for choice in choices.tolist()])
+        missing_m = np.maximum(wanted_m - np.minimum(away_m, room_m), 0.0)
+        missing_m[missing_m < 1e-6] = 0.0
+        best = np.lexsort((np.hypot(*(choices - place).T), missing_m))[0]
+        north, east = choices[best].tolist()
+        return north, east, down
+
+    def towards(self, place_n_m: Vec3, from_n_m: Vec3) -> Vec3:
+        """Return what is left to a place, as long as the way to it and in the direction in which
+        that begins: straight where nothing is in between.
+        """
+        straight = subtract(place_n_m, from_n_m)
+        if not self.obstacles:
+            return straight
+        low_m, high_m = sorted((-place_n_m[2], -from_n_m[2]))
+        rows = between(rows_of(self.obstacles), low_m, high_m, self.body_m)
+        here = from_n_m[0], from_n_m[1]
+        there = place_n_m[0], place_n_m[1]
+        turn, way_m = first_leg(rows, here, there, self.body_m, walls_of(self.corners_m))
+        leg_m = math.dist(here, turn)
+        if turn == there:
+            return straight
+        share = way_m / max(leg_m, 1e-9)
+        return share * (turn[0] - here[0]), share * (turn[1] - here[1]), straight[2]
+
+    def hides(self, eye_n_m: Vec3, things_n_m: Array) -> Flags:
+        """Return which things (k, 3) an obstacle hides from an eye."""
+        return hidden(rows_of(self.obstacles), eye_n_m, things_n_m)
+
     def stoppable(
         self,
         velocity_n_mps: Vec3,
@@ -74,35 +155,44 @@ class Fence:
         accel_mps2: float,
         response_s: float,
     ) -> Vec3:
-        """Return a velocity without what would take a drone to an edge, or to the ceiling of a site
-        that has edges, faster than it can stop.
+        """Return a velocity without what would take a drone to an edge, to an obstacle, or to the
+        ceiling of a site that has edges, faster than it can stop.
 
         Towards an edge with room d the drone may have v with d = 2 v response + v^2 / (2 accel): a
         setpoint that is slowed is answered late all the way.
         """
-        if not self.corners_m:
+        if not self.confines:
             return velocity_n_mps
-        north_mps, east_mps, down_mps = velocity_n_mps
-        north_m, east_m, down_m = position_n_m
-        climb_mps = _stopping_mps(self.highest_m + down_m, accel_mps2, response_s)
-        down_mps = max(down_mps, -climb_mps)
-        walls: list[tuple[float, float, float]] = []
-        for point in self._on_edges(north_m, east_m):
-            way_m = max(math.dist((north_m, east_m), point), 1e-6)
+        velocity = velocity_n_mps
+        if self.corners_m:
+            north_mps, east_mps, down_mps = velocity_n_mps
+            climb_mps = _stopping_mps(self.highest_m + position_n_m[2], accel_mps2, response_s)
+            velocity = (north_mps, east_mps, max(down_mps, -climb_mps))
+        walls: list[tuple[Vec3, float]] = []
+        for to_wall in self._to_walls(position_n_m):
+            way_m = max(norm(to_wall), 1e-6)
             most_mps = _stopping_mps(way_m - self.body_m, accel_mps2, response_s)
-            walls.append(((point[0] - north_m) / way_m, (point[1] - east_m) / way_m, most_mps))
-        for ahead, aside, most_mps in walls:
-            too_fast_mps = north_mps * ahead + east_mps * aside - most_mps
+            north, east, down = to_wall
+            walls.append(((north / way_m, east / way_m, down / way_m), most_mps))
+        for ahead, most_mps in walls:
+            too_fast_mps = dot(velocity, ahead) - most_mps
             if too_fast_mps > 0.0:
-                north_mps -= too_fast_mps * ahead
-                east_mps -= too_fast_mps * aside
+                velocity = subtract(velocity, scale(ahead, too_fast_mps))
         # what was turned away from one wall may lead to another: then all of it is slowed
         share = 1.0
-        for ahead, aside, most_mps in walls:
-            closing_mps = north_mps * ahead + east_mps * aside
+        for ahead, most_mps in walls:
+            closing_mps = dot(velocity, ahead)
             if closing_mps > most_mps:
                 share = min(share, most_mps / closing_mps)
+        north_mps, east_mps, down_mps = velocity
         return share * north_mps, share * east_mps, down_mps
+
+    def _to_walls(self, position_n_m: Vec3) -> Iterator[Vec3]:
+        """Yield the way to the nearest point of every edge and obstacle."""
+        north_m, east_m, _ = position_n_m
+        for edge_north_m, edge_east_m in self._on_edges(north_m, east_m) if self.corners_m else ():
+            yield edge_north_m - north_m, edge_east_m - east_m, 0.0
+        yield from map(tuple, to_nearest(rows_of(self.obstacles), position_n_m).tolist())
 
     def _edges(self) -> list[tuple[Corner, Corner]]:
         return list(zip(self.corners_m, (*self.corners_m[1:], self.corners_m[0]), strict=True))

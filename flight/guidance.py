@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from drivers.interfaces import VehicleState, VelocitySetpoint
 from path.values import frozen, value
@@ -24,6 +25,10 @@ def scale(a: Vec3, k: float) -> Vec3:
 
 def norm(a: Vec3) -> float:
     return math.hypot(*a)
+
+
+def dot(a: Vec3, b: Vec3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def limit(a: Vec3, longest: float) -> Vec3:
@@ -148,6 +153,10 @@ def spare_accel(
     return max(LEAST_SPARE * accel_mps2, accel_mps2 - braked_mps2)
 
 
+Way = Callable[[Vec3, Vec3], Vec3]
+"""What is left to a place (first) from where a drone is: straight, or ``Fence.towards``."""
+
+
 @frozen
 class Anchor:
     """A place and heading to stay at."""
@@ -160,8 +169,9 @@ class Anchor:
         state: VehicleState,
         gain_per_s: float = 0.8,
         max_speed_mps: float = 0.8,
+        towards: Way = subtract,
     ) -> VelocitySetpoint:
-        error = subtract(self.position_n_m, state.position_n_m)
+        error = towards(self.position_n_m, state.position_n_m)
         return VelocitySetpoint(
             close_in(error, (0.0, 0.0, 0.0), gain_per_s, max_speed_mps), self.yaw_rad
         )

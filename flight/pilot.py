@@ -38,6 +38,7 @@ class Pilot:
         self._guard = guard
         self._clock = SteadyClock.of(clock)
         self._config = config
+        self.fence = config.fence
         self._log = log
         self._last = VelocitySetpoint((0.0, 0.0, 0.0), 0.0)
         self.guidance: Guidance = self._stay
@@ -136,7 +137,7 @@ class Pilot:
         site.
         """
         config = self._config
-        velocity = config.fence.stoppable(
+        velocity = self.fence.stoppable(
             setpoint.velocity_n_mps,
             state.position_n_m,
             0.5 * config.max_accel_mps2,

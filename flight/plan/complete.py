@@ -82,6 +82,8 @@ def _with_site(mission: dict[str, Any], rig: Rig) -> dict[str, Any]:
         mission = _with(mission, "guard.clear_m", drone.hold_m + POSITION_SIGMAS * site.position_m)
     if site.corners_m and "mission.guard.corners_m" not in rig.named:
         mission = _with(mission, "guard.corners_m", site.corners_m)
+    if site.obstacles and "mission.guard.obstacles" not in rig.named:
+        mission = _with(mission, "guard.obstacles", [asdict(each) for each in site.obstacles])
     if site.ceiling_m is not None and "mission.guard.fence_height_m" not in rig.named:
         mission = _with(mission, "guard.fence_height_m", site.ceiling_m)
     return mission

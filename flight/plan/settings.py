@@ -72,6 +72,7 @@ STATED_ELSEWHERE = frozenset(
         "mission.target.radius_m",
         "mission.guard.corners_m",
         "mission.guard.clear_m",
+        "mission.guard.obstacles",
         "mission.follow.response_s",
         "mission.separation.horizontal_m",
         "mission.separation.vertical_m",

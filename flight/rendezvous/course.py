@@ -89,6 +89,7 @@ class Rendezvous:
         now_ns: Callable[[], int],
     ) -> None:
         self._config = config
+        self.fence = config.fence
         self._camera = camera
         self._mount = mount
         self._side_m = max(marker.side_m for marker in layout.markers)
@@ -234,8 +235,8 @@ class Rendezvous:
         """The nearest place that is inside the fence however wrong this drone's own position is."""
         guard = self._config.guard
         rendezvous = self._config.rendezvous
-        if guard.corners_m:
-            return self._config.fence.nearest(place_n_m)
+        if self.fence.confines:
+            return self.fence.nearest(place_n_m)
         radius_m = guard.fence_radius_m - rendezvous.positions_within_m
         return within_fence(place_n_m, radius_m, guard.fence_height_m - rendezvous.heights_within_m)
 
@@ -249,7 +250,7 @@ class Rendezvous:
             config.follow.response_s,
             config.max_accel_mps2,
         )
-        error = subtract(place_n_m, state.position_n_m)
+        error = self.fence.towards(place_n_m, state.position_n_m)
         velocity = approach(error, state.velocity_n_mps, self._peer().velocity_n_mps, answer)
         return VelocitySetpoint(velocity, yaw_rad)
 
@@ -268,6 +269,9 @@ class Rendezvous:
         sure = relative.sigma_m <= rendezvous.max_position_sigma_m
         speed = rendezvous.max_speed_mps * (1.0 if sure else _UNSURE_SHARE)
         error = self._off_viewpoint(relative.marker_n_m)
+        if self.fence.obstacles:
+            here = state.position_n_m
+            error = self.fence.towards(add(here, error), here)
         velocity = close_in(error, peer.velocity_n_mps, rendezvous.gain_per_s, speed)
         return VelocitySetpoint(velocity, self._yaw_between(relative.marker_n_m))
 

@@ -18,6 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.interfaces import FlightMode
+from drivers.rig.obstacle import Obstacle
+from drivers.rig.parts import Rig
+from drivers.rig.tables import decode_table
 from flight.harness.fleet import NamedTarget
 from hil.autopilot.autopilot import Autopilot, Estimate
 from hil.autopilot.radio import CENTRED
@@ -40,7 +43,7 @@ from hil.world.dynamics import (
 )
 from hil.world.estimator import Sensors
 from hil.world.fields import NUMBERS, TargetField
-from hil.world.obstacles import crates_of, stand
+from hil.world.obstacles import ObstaclesConfig, crates_of, stand
 from hil.world.rangefinder import SimRangefinder
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
 from path.geometry.transforms import Pose
@@ -568,3 +571,9 @@ def at_home(home: HomeConfig, leg_m: float) -> Array:
     """State row of a drone that stands there."""
     east, north = home.position_m
     return standing(north, east, math.radians(home.heading_deg), leg_m)
+
+
+def drawn_obstacles(rig: Rig, count: int, seed: int) -> tuple[Obstacle, ...]:
+    """Return the obstacles that a seed puts into a rig's world. Raises RigError."""
+    config = decode_table(rig.world, WorldConfig, rig.where("[world]"))
+    return World(replace(config, obstacles=ObstaclesConfig(count)), seed).obstacles

@@ -35,6 +35,9 @@ def setup_record(
     """
     own, peer = (rig.sender, rig.receiver) if role is Role.SENDER else (rig.receiver, rig.sender)
     origin = rig.origin
+    mission = asdict(config)
+    if not config.guard.obstacles:
+        del mission["guard"]["obstacles"]
     return {
         "role": role.value,
         "rig": rig.name,
@@ -42,7 +45,7 @@ def setup_record(
         "handoff_id": config.handoff_id,
         "target_id": config.target_id,
         "method": asdict(rig.method),
-        "mission": asdict(config),
+        "mission": mission,
         "camera": camera_record(own.camera),
         "peer_camera": camera_record(peer.camera),
         "T_b_c": pose_rows(own.mount.T_b_c),

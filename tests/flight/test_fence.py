@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
+from drivers.rig.obstacle import Obstacle
 from flight.fence import Fence
+from flight.guidance import add, norm, scale
 
 HALL = Fence(25.0, 3.0, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0), (2.0, -2.0)), body_m=0.3)
 # an L: the corner that points inward is at the origin
@@ -18,6 +20,10 @@ ANGLE = Fence(
     ((-4.0, -4.0), (4.0, -4.0), (4.0, 0.0), (0.0, 0.0), (0.0, 4.0), (-4.0, 4.0)),
     body_m=0.3,
 )
+WALL = Obstacle((4.0, 0.0), (0.2, 6.0), 3.0)
+POST = Obstacle((0.0, 3.0), (1.0, 1.0), 2.5, round=True)
+CROWN = Obstacle((0.0, 3.0), (3.0, 3.0), 6.0, 4.5, round=True)
+YARD = Fence(25.0, 8.0, body_m=0.8, obstacles=(WALL, POST, CROWN))
 PLACES = some.tuples(some.floats(-6.0, 6.0), some.floats(-6.0, 6.0))
 
 
@@ -110,3 +116,64 @@ def test_a_drone_at_a_wall_is_not_led_nearer() -> None:
     north, east, _ = HALL.stoppable((0.5, 0.3, 0.0), (1.7, 0.0, -1.0), 0.4, 1.0)
     assert north == pytest.approx(0.0, abs=1e-9)
     assert east == pytest.approx(0.3)
+
+
+# --- obstacles
+
+
+@given(place=some.tuples(PLACES, some.floats(0.5, 4.0)))
+def test_the_nearest_place_is_clear_of_obstacles(
+    place: tuple[tuple[float, float], float],
+) -> None:
+    (north, east), height = place
+    found = YARD.nearest((north, east, -height))
+    assert min(each.distance_m(found) for each in YARD.obstacles) >= YARD.body_m - 1e-6
+    assert found[2] == -height
+
+
+def test_a_place_to_land_at_is_not_above_or_below_an_obstacle() -> None:
+    above = (0.0, 3.2, -3.6)
+    assert YARD.nearest(above) == above
+    north, east, _ = YARD.nearest(above, lowest_m=0.0)
+    assert math.dist((north, east), POST.place_m) >= 0.5 + YARD.body_m - 1e-6
+
+
+@given(
+    place=PLACES,
+    direction=some.floats(0.0, 6.28),
+    sinks=some.floats(-1.0, 1.0),
+    height=some.floats(1.0, 4.0),
+)
+def test_a_drone_that_answers_late_stops_before_an_obstacle(
+    place: tuple[float, float], direction: float, sinks: float, height: float
+) -> None:
+    position = YARD.nearest((*place, -height))
+    velocity = setpoint = (0.0, 0.0, 0.0)
+    wanted = 2.0 * math.cos(direction), 2.0 * math.sin(direction), sinks
+    for _ in range(200):
+        change = add(wanted, scale(setpoint, -1.0))
+        change = scale(change, min(1.0, 0.8 * 0.05 / max(norm(change), 1e-9)))
+        setpoint = YARD.stoppable(add(setpoint, change), position, 0.4, 1.0)
+        velocity = add(velocity, scale(add(setpoint, scale(velocity, -1.0)), 0.05))
+        position = add(position, scale(velocity, 0.05))
+        assert min(each.distance_m(position) for each in YARD.obstacles) >= 0.5 * YARD.body_m
+
+
+def test_a_way_leads_round_an_obstacle_and_is_as_long_as_that_takes() -> None:
+    left = YARD.towards((8.0, 0.0, -2.0), (0.0, 0.0, -1.0))
+    assert norm(left) > 10.0
+    assert abs(left[1]) > 0.5 * left[0]
+    assert left[2] == -1.0
+    over = YARD.towards((8.0, 0.0, -5.0), (0.0, 0.0, -5.0))
+    assert over == (8.0, 0.0, 0.0)
+    assert Fence(25.0, 8.0, body_m=0.8).towards((8.0, 0.1, -2.0), (0.3, 0.2, 0.1)) == (
+        8.0 - 0.3,
+        0.1 - 0.2,
+        -2.0 - 0.1,
+    )
+
+
+def test_obstacles_are_where_a_drone_whose_position_is_off_takes_them_to_be() -> None:
+    moved = YARD.shifted(0.5, -1.0)
+    assert moved.obstacles[0].place_m == (4.5, -1.0)
+    assert moved.corners_m == YARD.corners_m

@@ -159,6 +159,7 @@ class Receiver:
         )
         await self._until_planned(deadlines.viewpoint_s)  # the wind's part is known only in the air
         await self._rise()
+        self._rendezvous.fence = session.fence
 
         session.spawn(self._watch())
         if self._common is not None:
@@ -370,9 +371,9 @@ class Receiver:
         highest_m = guard.fence_height_m - BELOW_FENCE_M
         place = add(target, self._keep_n_m)
         place = within_fence(place, math.inf, highest_m)
-        if guard.corners_m:
-            place = config.fence.nearest(place)
-        error = subtract(place, state.position_n_m)
+        if self._session.fence.confines:
+            place = self._session.fence.nearest(place)
+        error = self._session.fence.towards(place, state.position_n_m)
         answer = config.follow.answer(config.max_accel_mps2)
         to_fly = approach(error, state.velocity_n_mps, moves, answer)
         to_target = subtract(target, state.position_n_m)

@@ -323,7 +323,7 @@ class Sender:
     ) -> VelocitySetpoint:
         """To a moving place, and to rest there: past it the target would be below the image."""
         follow = self._config.follow
-        error = subtract(place_n_m, state.position_n_m)
+        error = self._session.fence.towards(place_n_m, state.position_n_m)
         spare_mps2 = spare_accel(
             self._config.max_accel_mps2,
             norm(velocity_n_mps),
@@ -363,8 +363,8 @@ class Sender:
         place = add(place, aside)
         highest_m = guard.fence_height_m - BELOW_FENCE_M
         place = within_fence(place, math.inf, highest_m)
-        if guard.corners_m:
-            return self._config.fence.nearest(place)
+        if self._session.fence.confines:
+            return self._session.fence.nearest(place)
         return place
 
     def _follow_target(self, state: VehicleState) -> VelocitySetpoint:
@@ -399,7 +399,7 @@ class Sender:
         now_ns = self._session.now_ns()
         target, _ = self._track.predict(now_ns)
         way_out = self._leave()
-        way = way_out.hold(state)
+        way = way_out.hold(state, towards=self._session.fence.towards)
         to_target = subtract(target, state.position_n_m)
         yaw_rad = bearing(to_target)
         return replace(way, yaw_rad=yaw_rad)

@@ -32,6 +32,7 @@ from drivers.rig.parts import Rig, RoleRig, ended_by
 from drivers.stages import Stages
 from flight.clocks import ClockAlignment, ClockConfig, answer
 from flight.config import MissionConfig, off_from
+from flight.fence import Fence
 from flight.ground_below import GroundBelow
 from flight.guard.under_guard import UnderGuard
 from flight.guidance import Vec3, add, subtract
@@ -146,6 +147,11 @@ class RoleSession:
         self._pings = 0
         self._traffic: list[tuple[float, int]] = []
 
+    @property
+    def fence(self) -> Fence:
+        """Return the space in which this drone may be, in its own coordinates."""
+        return self.pilot.fence
+
     # --- time and waiting
 
     def now_ns(self) -> int:
@@ -155,6 +161,7 @@ class RoleSession:
         """Takes what this drone's position is off, where it stands, for what it will be off."""
         north, east = off_from(home_m, self.vehicle.state.position_n_m)
         self.off_n_m = (north, east, 0.0)
+        self.pilot.fence = self.config.fence.shifted(north, east)
         self._here = None
         self.log.write("/home", self.now_ns(), {"off_m": (north, east)})
         self.note_ground()  # it stands on it

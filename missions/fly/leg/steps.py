@@ -184,7 +184,7 @@ async def bring_down(
 ) -> bool:
     """Leave the other drone's way, to ``way_out``, then land. Returns whether the vehicle is down.
 
-    A way out that leads out of a site ends before its edge.
+    A way out that leads out of a site ends before its edge, and none ends above an obstacle.
 
     A pilot who took over keeps the vehicle; a vehicle that is lost or refuses is not flown any
     farther.
@@ -216,10 +216,10 @@ async def bring_down(
 
 
 def _inside(session: RoleSession, way_out: Anchor) -> Anchor:
-    config = session.config
-    if not config.guard.corners_m:
+    fence = session.fence
+    if not fence.confines:
         return way_out
-    return replace(way_out, position_n_m=config.fence.nearest(way_out.position_n_m))
+    return replace(way_out, position_n_m=fence.nearest(way_out.position_n_m, lowest_m=0.0))
 
 
 async def _sure_state(session: RoleSession) -> VehicleState:
@@ -305,7 +305,8 @@ async def _until_disarmed(session: RoleSession) -> None:
 
 async def _depart(session: RoleSession, way_out: Anchor, end_s: float) -> None:
     """Fly the way out under guard; when that fails, what follows (landing) is still right."""
-    session.pilot.guidance = way_out.hold
+    towards = session.fence.towards
+    session.pilot.guidance = lambda state: way_out.hold(state, towards=towards)
     loop = asyncio.get_running_loop()
     while session.pilot.in_control and loop.time() < end_s:
         if norm(subtract(way_out.position_n_m, session.vehicle.state.position_n_m)) < _SETTLED_M:

@@ -99,9 +99,10 @@ class Drone:
         """
         yaw_rad = yaw_of(self.state.q_n_b) if heading_deg is None else math.radians(heading_deg)
         there = Anchor((north_m, east_m, -height_m), yaw_rad)
+        towards = self._session.fence.towards
 
         def guidance(state: VehicleState) -> VelocitySetpoint:
-            return there.hold(state, _CLIMB_GAIN_PER_S, speed_mps)
+            return there.hold(state, _CLIMB_GAIN_PER_S, speed_mps, towards)
 
         self.guide(guidance)
         await self.until(

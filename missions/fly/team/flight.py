@@ -131,7 +131,7 @@ class TeamFlight(DroneFlight):
         yaw_rad = bearing(subtract(place(), session.vehicle.state.position_n_m))
 
         def guidance(state: VehicleState) -> VelocitySetpoint:
-            error = subtract(place(), state.position_n_m)
+            error = session.fence.towards(place(), state.position_n_m)
             return VelocitySetpoint(
                 close_in(error, (0.0, 0.0, 0.0), _GAIN_PER_S, speed_mps), yaw_rad
             )

@@ -247,7 +247,9 @@ class Aboard:
         speed_mps: float = 1.2,
         until: Callable[[], bool] = lambda: False,
     ) -> None:
-        session.pilot.guidance = lambda state: anchor.hold(state, max_speed_mps=speed_mps)
+        session.pilot.guidance = lambda state: anchor.hold(
+            state, max_speed_mps=speed_mps, towards=session.fence.towards
+        )
         loop = asyncio.get_running_loop()
         end_s = loop.time() + session.config.deadlines.depart_s
         while session.pilot.in_control and loop.time() < end_s and not until():

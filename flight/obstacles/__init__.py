@@ -1,0 +1,1 @@
+"""What stands in a drone's way, and the way around it."""
