@@ -157,7 +157,7 @@ def _may_go(
     config: MissionConfig,
 ) -> bool:
     """Return whether a way stays inside the fence, off the other drone, and off bodies as high."""
-    if norm(subtract(config.fence.nearest(there), there)) > 1e-6:
+    if norm(subtract(config.fence.nearest(there, lowest_m=0.0), there)) > 1e-6:
         return False
     rooms = [
         (body.place_n_m, config.separation.minimum_m + body.half_m)

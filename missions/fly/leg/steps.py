@@ -336,5 +336,7 @@ async def _until_clear(session: RoleSession, end_s: float) -> None:
         nearest = min(bodies, key=lambda body: level_m(here, body.place_n_m))
         yaw_rad = bearing(subtract(nearest.place_n_m, here))
         aside = Anchor(there, yaw_rad)
-        session.pilot.guidance = partial(aside.hold, max_speed_mps=config.follow.max_speed_mps)
+        session.pilot.guidance = partial(
+            aside.hold, max_speed_mps=config.follow.max_speed_mps, towards=session.fence.towards
+        )
         await asyncio.sleep(_REPLAN_S)
