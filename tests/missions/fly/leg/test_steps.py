@@ -327,6 +327,7 @@ def test_a_way_out_through_a_wall_ends_before_it(rig: Any) -> None:
         bench = Bench(rig)
         corners = ((-3.0, -1.5), (3.0, -1.5), (3.0, 3.0), (-3.0, 3.0))
         bench.session.config = replace(CONFIG, guard=GuardConfig(corners_m=corners, clear_m=0.3))
+        bench.session.pilot.fence = bench.session.config.fence
         await bench.in_the_air()
         # where wind, or a velocity that is a little off, had driven it
         bench.vehicle.now = replace(bench.vehicle.now, position_n_m=(0.0, -1.4, -1.5))
