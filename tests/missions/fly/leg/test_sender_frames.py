@@ -38,6 +38,7 @@ def configured(sender: Any, **changes: Any) -> MissionConfig:
     """Have a sender fly by another mission."""
     config = replace(CONFIG, **changes)
     sender._config = sender._session.config = config
+    sender._session.pilot.fence = config.fence
     return config
 
 
