@@ -46,7 +46,6 @@ REAL_TIME = (
     "missions/ground/test_ground_station",
     "missions/ground/test_work",
     "missions/trials/flights/beacon/test_trial.py::test_a_listener_on",
-    "missions/trials/cost/link/test_trial",
     "missions/proofs/verify/test_attack",
     "missions/proofs/verify/test_run",
     "scenarios/test_unplugged",

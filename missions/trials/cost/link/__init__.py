@@ -1,1 +1,1 @@
-"""Bytes on the socket."""
+"""Bytes of every packet."""

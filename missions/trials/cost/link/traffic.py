@@ -1,29 +1,16 @@
-"""The traffic of a verification, over real UDP links on loopback, counted by a tap between the two
-ends.
-"""
+"""The packets of a verification, as both ends of a link encode and sign them, in virtual time."""
 
 from __future__ import annotations
 
-import asyncio
-import os
-import socket
-import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import AsyncExitStack
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 
-from drivers.clock import stopwatch_ns
-from drivers.interfaces import LinkError
 from drivers.link.dialect import path_dialect as dialect
-from drivers.link.udp import UdpLink
-from drivers.link.wire import KEY_LENGTH, UDP_IP_OVERHEAD
+from drivers.link.wire import KEY_LENGTH, UDP_IP_OVERHEAD, Codec
 from flight.clocks import answer
 from flight.config import MissionConfig
 from flight.phases import Phase
-from missions.ground.work import Work
 from path.alike import Alike
 from path.messages import (
     STEPS,
@@ -45,23 +32,23 @@ from path.messages import (
 from path.observations import Box, MissReason
 from path.values import frozen
 
-HOST = "127.0.0.1"
 HANDOFF = 1
 EPOCH = 7
 TARGET_ID = 1
 INSTANCE = 0xA3F01C
-SETTLE_S = 0.3
+NONCE = 0x8F3A61C4
+BOOTED_NS = 3600 * 10**9  # since both computers were switched on
+LEASE_NS = 2 * 10**9
 
 
 @frozen
-class TappedPacket:
-    """One datagram as the tap saw it."""
+class Packet:
+    """One datagram."""
 
     kind: str
-    direction: Role  # who sent it
+    sender: Role
     payload_b: int
     mavlink_b: int
-    at_s: float
 
     @property
     def wire_b(self) -> int:
@@ -69,210 +56,68 @@ class TappedPacket:
         return self.mavlink_b + UDP_IP_OVERHEAD
 
 
-@dataclass(slots=True)
-class LinkTraffic:
-    """The traffic on one link.
-
-    Attributes:
-        hz: frames a second on both sides.
-        seconds: how long; packets sent after that are in ``extremes``.
-        extremes: one packet of each kind, no byte of which MAVLink could cut off.
-        sent, received: packets of both ends, by their own counters.
-        dropped: of both ends, by reason.
-    """
-
-    hz: int
-    seconds: int
-    packets: list[TappedPacket] = field(default_factory=list[TappedPacket])
-    extremes: list[TappedPacket] = field(default_factory=list[TappedPacket])
-    sent: int = 0
-    received: int = 0
-    dropped: dict[str, int] = field(default_factory=dict[str, int])
+def packets_of(role: Role, key: bytes, messages: Iterator[Message]) -> list[Packet]:
+    """Encode and sign what one end sends."""
+    codec = Codec(role, key)
+    return [packet_of(role, codec.encode(message)) for message in messages]
 
 
-@frozen
-class _Clock:
-    def now_ns(self) -> int:
-        return stopwatch_ns()
+def packet_of(role: Role, data: bytes) -> Packet:
+    """Return what a datagram is, by its header."""
+    name = dialect.mavlink_map[int.from_bytes(data[7:10], "little")].msgname
+    return Packet(name.removeprefix("PATH_").lower(), role, data[1], len(data))
 
 
-@frozen
-class _Context:
-    role: Role
-    clock: _Clock
-
-
-class _Tap(asyncio.DatagramProtocol):
-    """One side of the tap: what comes in is counted and leaves by the other side."""
-
-    def __init__(self, direction: Role, to: tuple[str, int]) -> None:
-        self.direction = direction
-        self.packets: list[TappedPacket] = []
-        self.other: _Tap | None = None
-        self._to = to  # the link end on this side
-        self._transport: asyncio.DatagramTransport | None = None
-
-    def connection_made(self, transport: asyncio.DatagramTransport) -> None:
-        self._transport = transport
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        kind = (
-            dialect.mavlink_map[int.from_bytes(data[7:10], "little")]
-            .msgname.removeprefix("PATH_")
-            .lower()
-        )
-        self.packets.append(
-            TappedPacket(
-                kind, self.direction, data[1], len(data), asyncio.get_running_loop().time()
-            )
-        )
-        if self.other is not None and self.other._transport is not None:
-            self.other._transport.sendto(data, self.other._to)
-
-
-def flow(
-    work: Work, rates_hz: Sequence[int], seconds: int, mission: MissionConfig, seed: int
-) -> list[LinkTraffic]:
-    """The traffic at each rate, all at the same time. Raises LinkError when a port cannot be
-    had.
-    """
-    return asyncio.run(_flow(work, rates_hz, seconds, mission, seed))
-
-
-async def _flow(
-    work: Work, rates_hz: Sequence[int], seconds: int, mission: MissionConfig, seed: int
-) -> list[LinkTraffic]:
-    async with AsyncExitStack() as stack:
-        key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "pair.key"
-        with os.fdopen(os.open(key, os.O_WRONLY | os.O_CREAT, 0o600), "wb") as file:
-            file.write(np.random.default_rng([seed, 0]).bytes(KEY_LENGTH))
-        flows = [asyncio.create_task(_one(hz, seconds, mission, seed, key)) for hz in rates_hz]
-        try:
-            for _ in work.steps("seconds on the link", range(seconds)):
-                await asyncio.wait(flows, timeout=1.0, return_when=asyncio.FIRST_EXCEPTION)
-            return list(await asyncio.gather(*flows))
-        finally:
-            for one in flows:
-                one.cancel()
-
-
-async def _one(hz: int, seconds: int, mission: MissionConfig, seed: int, key: Path) -> LinkTraffic:
-    """One pair of links with the tap between them."""
-    own = dict(zip(Role, _free_ports(2), strict=True))
-    async with AsyncExitStack() as stack:
-        loop = asyncio.get_running_loop()
-        taps: dict[Role, _Tap] = {}
-        links: dict[Role, UdpLink] = {}
-        for role in Role:
-            tap = _Tap(role, (HOST, own[role]))
-            transport, _ = await loop.create_datagram_endpoint(
-                lambda tap=tap: tap, local_addr=(HOST, 0)
-            )
-            stack.callback(transport.abort)
-            port = transport.get_extra_info("sockname")[1]
-            config = UdpLink.Config(f"{HOST}:{own[role]}", f"{HOST}:{port}", key)
-            links[role] = await stack.enter_async_context(UdpLink(config, _Context(role, _Clock())))
-            taps[role] = tap
-        taps[Role.SENDER].other = taps[Role.RECEIVER]
-        taps[Role.RECEIVER].other = taps[Role.SENDER]
-        pumps = [asyncio.create_task(_pump(link)) for link in links.values()]
-        rngs = (np.random.default_rng([seed, hz, k]) for k in range(2))
-        sides = [
-            _Side(role, links[role], mission, hz, rng) for role, rng in zip(Role, rngs, strict=True)
-        ]
-        await asyncio.gather(*(side.talk(seconds) for side in sides))
-        await asyncio.sleep(SETTLE_S)
-        traffic = LinkTraffic(hz, seconds, _taken(taps))
-        for role, link in links.items():
-            for message in extremes(role):
-                link.send(message)
-        await asyncio.sleep(SETTLE_S)
-        traffic.extremes = _taken(taps)
-        for pump in pumps:
-            pump.cancel()
-        await asyncio.gather(*pumps, return_exceptions=True)
-    for link in links.values():
-        traffic.sent += link.counters.packets_sent
-        traffic.received += link.counters.packets_received
-        for reason, count in link.counters.dropped.items():
-            traffic.dropped[reason] = traffic.dropped.get(reason, 0) + count
-    return traffic
-
-
-def _taken(taps: dict[Role, _Tap]) -> list[TappedPacket]:
-    packets = sorted(
-        (packet for tap in taps.values() for packet in tap.packets), key=lambda packet: packet.at_s
-    )
-    for tap in taps.values():
-        tap.packets = []
+def verification(hz: int, seconds: int, mission: MissionConfig, seed: int) -> list[Packet]:
+    """Return all packets of both ends that verify for so long, and hand over at the end of it."""
+    key = np.random.default_rng([seed, 0]).bytes(KEY_LENGTH)
+    packets: list[Packet] = []
+    for k, role in enumerate(Role):
+        rng = np.random.default_rng([seed, hz, k])
+        packets += packets_of(role, key, said_by(role, hz, seconds, mission, rng))
     return packets
 
 
-async def _pump(link: UdpLink) -> None:
-    """Pumps as a role does: answers pings, takes the rest."""
-    while True:
-        received = await link.receive()
-        if isinstance(received.message, Ping):
-            link.send(answer(received.message, received.arrival_ns, stopwatch_ns()))
+def said_by(
+    role: Role, hz: int, seconds: int, mission: MissionConfig, rng: np.random.Generator
+) -> Iterator[Message]:
+    """Yield the messages of one role, stream by stream: no size depends on their order."""
+    frame = a_target if role is Role.SENDER else a_candidate
+    for number, now_ns in enumerate(_instants(hz, seconds)):
+        yield frame(rng, 1000 + number, now_ns)
+    status_hz = mission.status_hz if role is Role.SENDER else mission.receiver_status_hz
+    for now_ns in _instants(status_hz, seconds):
+        yield a_status(role, rng, now_ns)
+    for number, now_ns in enumerate(_instants(mission.ping_hz, seconds)):
+        ping = Ping(number + 1, now_ns)
+        yield ping
+        # The peer pings as often, and is answered.
+        yield answer(ping, now_ns, now_ns)
+    yield from _handover(role, BOOTED_NS + seconds * 10**9)
 
 
-class _Side:
-    """The messages of one role while it verifies, and the hand-over at the end of it."""
+def _instants(rate_hz: float, seconds: int) -> list[int]:
+    return [BOOTED_NS + round(k * 1e9 / rate_hz) for k in range(round(rate_hz * seconds))]
 
-    def __init__(
-        self, role: Role, link: UdpLink, mission: MissionConfig, hz: int, rng: np.random.Generator
-    ) -> None:
-        self._role = role
-        self._link = link
-        self._rng = rng
-        status_hz = mission.status_hz if role is Role.SENDER else mission.receiver_status_hz
-        self._streams = (
-            (float(hz), self._frame),
-            (status_hz, self._status),
-            (mission.ping_hz, self._ping),
-        )
 
-    async def talk(self, seconds: int) -> None:
-        await asyncio.gather(*(self._stream(rate, send, seconds) for rate, send in self._streams))
-        for message in _handover(self._role):
-            self._link.send(message)
+def _handover(role: Role, now_ns: int) -> tuple[Message, ...]:
+    if role is Role.RECEIVER:
+        return (Accept(HANDOFF, EPOCH, TARGET_ID, NONCE, now_ns, INSTANCE),)
+    commit = Commit(HANDOFF, EPOCH, TARGET_ID, NONCE, now_ns + LEASE_NS, now_ns, INSTANCE)
+    return commit, Confirm(HANDOFF, EPOCH, TARGET_ID, NONCE, now_ns, INSTANCE)
 
-    async def _stream(self, rate_hz: float, send: Callable[[int], None], seconds: int) -> None:
-        loop = asyncio.get_running_loop()
-        begin_s = loop.time()
-        for k in range(round(rate_hz * seconds)):
-            await asyncio.sleep(max(0.0, begin_s + k / rate_hz - loop.time()))
-            send(k)
-        await asyncio.sleep(max(0.0, begin_s + seconds - loop.time()))
 
-    def _frame(self, k: int) -> None:
-        make = a_target if self._role is Role.SENDER else a_candidate
-        self._link.send(make(self._rng, 1000 + k, stopwatch_ns()))
-
-    def _status(self, _: int) -> None:
-        rng = self._rng
-        responsible = self._role is Role.SENDER
-        position = _vector(rng, 5.0)
-        velocity = _vector(rng, 0.4)
-        yaw = float(rng.uniform(-3.1, 3.1))
-        battery = float(rng.uniform(0.3, 1.0))
-        self._link.send(
-            Status(
-                self._role,
-                stopwatch_ns(),
-                position,
-                velocity,
-                yaw,
-                int(Phase.VERIFY),
-                responsible,
-                True,
-                battery,
-                INSTANCE,
-            )
-        )
-
-    def _ping(self, k: int) -> None:
-        self._link.send(Ping(k + 1, stopwatch_ns()))
+def a_status(role: Role, rng: np.random.Generator, stamp_ns: int) -> Status:
+    """Return a Status of a drone that verifies."""
+    position = _vector(rng, 5.0)
+    velocity = _vector(rng, 0.4)
+    yaw = float(rng.uniform(-3.1, 3.1))
+    battery = float(rng.uniform(0.3, 1.0))
+    phase = int(Phase.VERIFY)
+    responsible = role is Role.SENDER
+    return Status(
+        role, stamp_ns, position, velocity, yaw, phase, responsible, True, battery, INSTANCE
+    )
 
 
 def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
@@ -283,16 +128,8 @@ def a_target(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Target:
     norm = float(np.linalg.norm((x, y, z)))
     gravity = (x / norm, y / norm, z / norm)
     point = _vector(rng, 2.0)
-    return Target(
-        HANDOFF,
-        EPOCH,
-        TARGET_ID,
-        sequence,
-        stamp_ns,
-        point,
-        gravity,
-        float(rng.uniform(0.004, 0.02)),
-    )
+    sigma_m = float(rng.uniform(0.004, 0.02))
+    return Target(HANDOFF, EPOCH, TARGET_ID, sequence, stamp_ns, point, gravity, sigma_m)
 
 
 def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candidate:
@@ -300,38 +137,17 @@ def a_candidate(rng: np.random.Generator, sequence: int, stamp_ns: int) -> Candi
     w, x, y, z = rng.standard_normal(4).tolist()
     norm = float(np.linalg.norm((w, x, y, z)))
     rotation: Quat = (w / norm, x / norm, y / norm, z / norm)
-    u, v, width, height = rng.uniform(
-        (0.0, 0.0, 30.0, 30.0), (1100.0, 600.0, 150.0, 100.0)
-    ).tolist()
-    box = Box(u, v, width, height)
+    low = (0.0, 0.0, 30.0, 30.0)
+    high = (1100.0, 600.0, 150.0, 100.0)
+    box = Box(*rng.uniform(low, high).tolist())
     sigma_m = float(rng.uniform(0.002, 0.02))
-    return Candidate(
-        HANDOFF,
-        EPOCH,
-        TARGET_ID,
-        sequence,
-        sequence - 1,
-        stamp_ns,
-        box,
-        None,
-        _vector(rng, 1.5),
-        rotation,
-        sigma_m,
-    )
+    ids = HANDOFF, EPOCH, TARGET_ID, sequence, sequence - 1
+    return Candidate(*ids, stamp_ns, box, None, _vector(rng, 1.5), rotation, sigma_m)
 
 
 def _vector(rng: np.random.Generator, reach: float) -> Vec3:
     x, y, z = rng.uniform(-reach, reach, 3).tolist()
     return x, y, z
-
-
-def _handover(role: Role) -> tuple[Message, ...]:
-    now_ns = stopwatch_ns()
-    nonce = 0x8F3A61C4
-    if role is Role.RECEIVER:
-        return (Accept(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns, INSTANCE),)
-    commit = Commit(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns + 2_000_000_000, now_ns, INSTANCE)
-    return commit, Confirm(HANDOFF, EPOCH, TARGET_ID, nonce, now_ns, INSTANCE)
 
 
 def extremes(role: Role) -> tuple[Message, ...]:
@@ -371,19 +187,3 @@ def extremes(role: Role) -> tuple[Message, ...]:
         full, full, 255, full, full, late // 8, None, missed, (-1.0, 2.0, 0.5), pose, 0.05
     )
     return candidate, status, ping, pong, Accept(full, full, 255, most, late, INSTANCE), abort
-
-
-def _free_ports(count: int) -> list[int]:
-    """UDP ports that are free now; they are named in the links' configuration, so they must be
-    known before.
-    """
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    try:
-        for one in sockets:
-            one.bind((HOST, 0))
-        return [int(one.getsockname()[1]) for one in sockets]
-    except OSError as error:
-        raise LinkError(f"no free UDP port on {HOST}: {error.strerror}") from error
-    finally:
-        for one in sockets:
-            one.close()
