@@ -18,7 +18,7 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -34,7 +34,7 @@ from hil.beacons.system import BeaconFrame, BeaconSystem, ByteChunk
 from hil.harness.realtime.parts import CameraView
 from hil.tello.emulator import TelloEmulator, TelloEmulatorConfig
 from hil.tello.video import TelloVideo, TelloVideoConfig
-from hil.vehicle.alone import Pumped, run_alone
+from hil.vehicle.alone import run_alone
 from hil.vehicle.mavlink_vehicle import MavlinkVehicle, MavlinkVehicleConfig
 from hil.world.config import WorldConfig
 from hil.world.errors import as_built
@@ -116,7 +116,7 @@ def parts_of(
     world: World,
     places: list[str],
     stack: ExitStack,
-) -> Iterator[Pumped]:
+) -> Iterator[Callable[[float], None]]:
     """Yield what is pumped of each stand-in, closed with the stack. Raises OSError for a port that
     is taken.
     """
@@ -124,14 +124,14 @@ def parts_of(
         if kind == "hedgehog":
             hedgehog = Hedgehog(number, Path(place), seed, world)
             stack.callback(hedgehog.cable.unplug)
-            yield hedgehog
+            yield hedgehog.pump
             continue
         drone = world.drone(role)
         if kind == "vehicle":
             config = MavlinkVehicleConfig(number + 1, (HOST, int(place)))
             vehicle = MavlinkVehicle(config, drone, LocalTangent.at(rig.origin))
             stack.callback(vehicle.close)
-            yield vehicle
+            yield vehicle.pump
             continue
         film = Film(rig, role, seed, world)
         if kind == "camera":
@@ -143,8 +143,8 @@ def parts_of(
             own = TelloEmulatorConfig(host, int(port), home_yaw_rad=heading_rad)
             tello = TelloEmulator(own, drone, film.video)
             stack.callback(tello.close)
-            yield tello
-        yield film
+            yield tello.pump
+        yield film.pump
 
 
 def main() -> None:

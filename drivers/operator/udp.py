@@ -10,9 +10,10 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 from collections.abc import Sequence
-from typing import Protocol, Self
+from typing import Self
 
-from drivers.interfaces import Clock, LinkError
+from drivers.interfaces import LinkError
+from drivers.link.end import LinkContext
 from drivers.link.udp import Address, address_of
 from drivers.operator.interfaces import Chosen, Question, Told
 from drivers.operator.words import MOST_BYTES, WordsError, decode, encode_question
@@ -20,13 +21,6 @@ from path.values import frozen
 
 ASKED_FOR_S = 10.0  # whoever was heard so lately is asked
 WAITING = 256  # statements between two turns; older ones are of no use
-
-
-class OperatorContext(Protocol):
-    """What it has to know of its drone."""
-
-    @property
-    def clock(self) -> Clock: ...
 
 
 @frozen
@@ -57,7 +51,7 @@ class UdpOperator:
 
     Config = UdpOperatorConfig
 
-    def __init__(self, config: UdpOperatorConfig, context: OperatorContext) -> None:
+    def __init__(self, config: UdpOperatorConfig, context: LinkContext) -> None:
         self._bind = address_of(config.bind, "bind")
         self._clock = context.clock
         self._transport: asyncio.DatagramTransport | None = None

@@ -27,10 +27,6 @@ from path.values import frozen
 LOOP_GAP_NS = 33_000_000  # from the last frame to the first one again, where there is only one
 
 
-class RecordingEnded(CameraError):
-    """The recording was given to its last frame."""
-
-
 @frozen
 class RecordedCameraConfig:
     """
@@ -131,14 +127,13 @@ class RecordedCamera:
         """The next frame ("fast"), or the newest that is due ("real").
 
         Raises:
-            RecordingEnded: there are no more.
-            CameraError: the next frame is due later than that, or is damaged.
+            CameraError: there are no more, or the next frame is due later than that, or is damaged.
         """
         if self._thread is None or self._coming is None:
             raise CameraError("the recorded camera is not open", "open it with `async with`")
         ready = self._coming.result()
         if ready is None:
-            raise RecordingEnded(
+            raise CameraError(
                 f"no frame from {self._config.file}: the recording ended after {self._given} frames",
                 "loop = true plays it again and again",
             )

@@ -14,10 +14,6 @@ from typing import Any
 ASK_EVERY = 64
 
 
-class Deadlock(RuntimeError):
-    """Every task waits and no timer is left that could wake one."""
-
-
 class _JumpingSelector(selectors.DefaultSelector):
     """Never waits: reports what is ready (signals arrive this way) or moves the loop's clock by the
     time-out.
@@ -37,7 +33,7 @@ class _JumpingSelector(selectors.DefaultSelector):
         if ready:
             return ready
         if timeout is None:
-            raise Deadlock(
+            raise RuntimeError(
                 "every task waits for something that no timer, and no input, will bring about"
             )
         if timeout > 0:

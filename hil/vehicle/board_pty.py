@@ -189,7 +189,7 @@ def main() -> None:
         boards = boards_of(rig, world, stack)
         sys.stdout.write("two boards in software are switched on; Ctrl-C switches them off\n")
         sys.stdout.flush()
-        run_alone(world, boards)
+        run_alone(world, [board.pump for board in boards])
 
 
 if __name__ == "__main__":

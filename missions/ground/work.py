@@ -30,6 +30,11 @@ Result = TypeVar("Result")
 AHEAD = 3
 
 
+def call(piece: Callable[[], Result]) -> Result:
+    """Run a piece that has its arguments with it, such as a ``functools.partial``."""
+    return piece()
+
+
 class Work:
     """Runs the pieces of something long. One pool of processes serves all of them, so that kernels
     are loaded once.

@@ -53,10 +53,6 @@ TURNS = 16  # of the fit
 WIDEST = 8.0  # a ray 83 degrees off the axis
 
 
-class LensError(ValueError):
-    """A lens that no Brown-Conrady lens comes near enough."""
-
-
 @frozen
 class Lens:
     """A camera by its maker's or its calibration program's own lens.
@@ -173,9 +169,8 @@ def as_brown_conrady(lens: Lens) -> StandIn:
     Focal lengths and centre are fitted too: they are not the lens's own.
 
     Raises:
-        LensError: it would be off by more than ``MOST_PX``, or the lens sees to the side of the
-            camera.
-        ValueError: numbers that are no camera.
+        ValueError: it would be off by more than ``MOST_PX``, the lens sees to the side of the
+            camera, or the numbers are no camera.
     """
     straight = not any(lens.coefficients) and lens.kind != "equidistant"
     if straight or lens.kind == "brown_conrady":
@@ -193,14 +188,14 @@ def as_brown_conrady(lens: Lens) -> StandIn:
     pixels = _spread(lens.width, lens.height)
     rays = lens.rays(pixels)
     if not np.isfinite(rays).all():
-        raise LensError(
+        raise ValueError(
             f"a lens of kind {lens.kind} that shows what is beside the camera, or cannot be inverted over its image"
         )
     values = _fitted(lens, rays, pixels)
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = values.tolist()
     worst_px = float(np.hypot(*(_projected(values, rays) - pixels).T).max())
     if worst_px > MOST_PX:
-        raise LensError(
+        raise ValueError(
             f"a lens of kind {lens.kind}, from which the nearest Brown-Conrady lens is off by {worst_px:.2f} px "
             f"(at most {MOST_PX:g})"
         )

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
 from drivers.link.udp import address_of
@@ -38,18 +38,8 @@ STEP_S = 0.005
 FrameWriter = SharedCameraWriter | TelloVideo
 
 
-class CameraScene(Protocol):
-    """The scene before one drone's camera."""
-
-    def now_s(self) -> float:
-        """The world's clock."""
-        ...
-
-    def look(self) -> tuple[int, Snapshot] | None:
-        """The truth now, and the stamp of a frame that is taken of it; None while the camera is
-        frozen.
-        """
-        ...
+Look = Callable[[], tuple[int, Snapshot] | None]
+"""Gives the truth now, and the stamp of a frame that is taken of it; None while a camera is frozen."""
 
 
 class CameraView:
@@ -107,19 +97,23 @@ class CameraThread(threading.Thread):
     """Takes one camera's frames at its rate and publishes them. A late frame is left out, and
     counted.
 
-    ``phase``: of a period; two cameras are never in step.
+    Args:
+        now_s: the world's clock. ``look``: at what is before the camera.
+        phase: of a period; two cameras are never in step.
     """
 
     def __init__(
         self,
-        scene: CameraScene,
+        now_s: Callable[[], float],
+        look: Look,
         picture: CameraView,
         writer: FrameWriter,
         rate_hz: float,
         phase: float,
     ) -> None:
         super().__init__(name=f"camera-{picture.role.value}", daemon=True)
-        self._scene = scene
+        self._now_s = now_s
+        self._look = look
         self._picture = picture
         self._writer = writer
         self._period_s = 1.0 / rate_hz
@@ -129,13 +123,12 @@ class CameraThread(threading.Thread):
         self.left_out = 0
 
     def run(self) -> None:
-        scene = self._scene
         period_s = self._period_s
         stamps = StampErrors(self._picture.errors, 1.0 / period_s)
-        frame = max(0, int((scene.now_s() - self._phase_s) / period_s))
+        frame = max(0, int((self._now_s() - self._phase_s) / period_s))
         while not self.ending.is_set():
             due_s = self._phase_s + frame * period_s
-            wait_s = due_s - scene.now_s()
+            wait_s = due_s - self._now_s()
             if wait_s > 0.0:
                 time.sleep(wait_s)
             elif wait_s < -period_s:
@@ -143,7 +136,7 @@ class CameraThread(threading.Thread):
                 self.left_out += skipped
                 frame += skipped
                 continue
-            seen = scene.look()
+            seen = self._look()
             if seen is not None:
                 stamp_ns, snapshot = seen
                 self._picture.take(stamp_ns + stamps.next_ns(), snapshot, frame, self._writer)

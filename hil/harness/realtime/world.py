@@ -22,6 +22,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -38,7 +39,6 @@ from hil.vehicle.simulators.process import SimulatorBroken
 from hil.world.errors import level_of
 from hil.world.snapshot import Snapshot
 from hil.world.world import Fleet
-from path.values import frozen
 
 TRUTH_STEPS = 4
 STALL_S = 0.1  # between two steps: a hundredth of that is usual
@@ -221,10 +221,19 @@ class RealTimeWorld:
         self, name: str, picture: CameraView, writer: FrameWriter, rate_hz: float, phase: float
     ) -> None:
         drone = self.drones[name]
-        drone.thread = CameraThread(
-            _Scene(self, name), picture, drone.camera.enter_context(writer), rate_hz, phase
-        )
+        out = drone.camera.enter_context(writer)
+        look = partial(self._look_as, name)
+        drone.thread = CameraThread(self.now_s, look, picture, out, rate_hz, phase)
         drone.camera.enter_context(running(drone.thread))
+
+    def _look_as(self, name: str) -> tuple[int, Snapshot] | None:
+        """Return the world as one drone's camera sees it now."""
+        if name in self.frozen:
+            return None
+        with self.lock:
+            self.fleet.advance(max(self.now_s(), self.fleet.time_s))
+            seen = self.seen_by(name)
+        return round((self.start_s + seen.time_s) * 1e9), seen
 
     # --- commands ---
 
@@ -269,26 +278,6 @@ class RealTimeWorld:
             drone.vehicle.silent = True
         if fault.startswith(("kill_", "stop_", "stall_")) or fault == "fc_link_loss":
             drone.cut_off_s.append(at_s)
-
-
-@frozen
-class _Scene:
-    """A ``hil.harness.realtime.parts.CameraScene``: the world as one drone's camera sees it."""
-
-    live: RealTimeWorld
-    name: str
-
-    def now_s(self) -> float:
-        return self.live.now_s()
-
-    def look(self) -> tuple[int, Snapshot] | None:
-        live = self.live
-        if self.name in live.frozen:
-            return None
-        with live.lock:
-            live.fleet.advance(max(live.now_s(), live.fleet.time_s))
-            seen = live.seen_by(self.name)
-        return round((live.start_s + seen.time_s) * 1e9), seen
 
 
 def world_command(module: str, rig: Rig, seed: int, *more: str) -> Sequence[str]:

@@ -32,7 +32,6 @@ from hil.vehicle.simulators.truth_follower import TruthFollower
 from hil.world.config import WorldConfig
 from hil.world.world import SimDrone, World, receiver_off
 from path.messages import Role
-from path.values import frozen
 
 POLL_S = 0.02
 # Where a board's own simulation begins, as its parameters are called; PX4's has no heading.
@@ -250,14 +249,7 @@ class FollowedWorld(World):
         return 0.0  # the rows are of ``time_s``
 
 
-@frozen
-class Readiness:
-    """The time that each simulator took until it could fly."""
-
-    seconds: Mapping[Role, float]
-
-
-async def start_simulators(vehicles: Mapping[Role, SimulatedVehicle]) -> Readiness:
+async def start_simulators(vehicles: Mapping[Role, SimulatedVehicle]) -> None:
     """Start all of them and wait until each can be armed and knows where it is. Raises
     SimulatorBroken, PartError.
     """
@@ -265,17 +257,16 @@ async def start_simulators(vehicles: Mapping[Role, SimulatedVehicle]) -> Readine
     for vehicle in vehicles.values():
         vehicle.listen()
         vehicle.start()
-    seconds: dict[Role, float] = {}
-    while len(seconds) < len(vehicles):
+    ready: set[Role] = set()
+    while len(ready) < len(vehicles):
         await asyncio.sleep(POLL_S)
         now_s = time.monotonic() - start_s
         for role, vehicle in vehicles.items():
             missing = vehicle.waits_for()
             if not missing:
-                seconds.setdefault(role, now_s)
+                ready.add(role)
             elif now_s > vehicle.config.ready_s:
                 raise vehicle.not_ready(missing, now_s)
-    return Readiness(seconds)
 
 
 def _numbers(table: object) -> dict[str, float]:

@@ -6,26 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from missions.look.report.records import RunRecords, judged_pairs, last
-from path.values import frozen
 
 
-@frozen
-class LongestRow:
-    """The longest row of agreeing pairs without a miss of either drone, up to the commit.
+def longest_row(run: RunRecords) -> dict[str, Any] | None:
+    """Return the longest row of agreeing pairs without a miss of either drone, up to the commit;
+    None when the sender judged nothing. The rules are those of ``path.gate.window``.
 
-    Attributes:
-        pairs, seconds: of it, on the stamps of D2's frames.
-        complete: whether the paper's gate would have let the target be handed over by then.
-    """
-
-    pairs: int
-    seconds: float
-    complete: bool
-
-
-def longest_row(run: RunRecords) -> LongestRow | None:
-    """The same rules as ``path.gate.window``, from the sender's records; None when it judged
-    nothing.
+    Returns:
+        ``pairs`` and ``seconds`` of it, on the stamps of D2's frames, and ``complete``: whether the
+        paper's gate would have let the target be handed over by then.
     """
     setup = last(run.sender, "/setup")
     pairs = judged_pairs(run)
@@ -60,4 +49,4 @@ def longest_row(run: RunRecords) -> LongestRow | None:
             most = count
             longest_ns = span_ns
         complete = complete or (count >= method["hold_frames"] and span_ns >= hold_ns)
-    return LongestRow(most, longest_ns * 1e-9, complete)
+    return {"pairs": most, "seconds": longest_ns * 1e-9, "complete": complete}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
@@ -170,7 +169,7 @@ def _agreement(run: RunRecords, span: Verification | None) -> dict[str, Any]:
         "gate": ("evidence" if evidence else "count") if pairs else None,
         "count_max": max((r.record["count"] for r in pairs), default=0),
         "evidence_max": _rounded(max(evidence)) if evidence else None,
-        "in_a_row": None if row is None else {**asdict(row), "seconds": _rounded(row.seconds)},
+        "in_a_row": None if row is None else {**row, "seconds": _rounded(row["seconds"])},
         "pairs_judged": len(pairs),
         "pairs_agreed": len(agreed),
         "pairs_hz": _rounded(len(pairs) / span.seconds) if span and span.seconds > 0.0 else None,

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Protocol
 
 from drivers.collector import collector_off
 from missions.proofs.verify.model import UNREAD, ModelWorld, Scope
@@ -53,30 +52,20 @@ class Exploration:
     pairs: Counter[tuple[str, str]]
 
 
-class SeenWorlds(Protocol):
-    """The worlds that were seen."""
-
-    def add(self, world: ModelWorld) -> bool:
-        """Return whether the world is to be entered: it is new."""
-        ...
-
-    def still(self, world: ModelWorld) -> bool:
-        """Return whether the world is worth going on from: nothing better was seen since."""
-        ...
-
-
 class Exact:
-    """Each world by itself."""
+    """The worlds that were seen, each by itself."""
 
     def __init__(self) -> None:
         self.worlds: set[ModelWorld] = set()
 
     def add(self, world: ModelWorld) -> bool:
+        """Return whether the world is to be entered: it is new."""
         before = len(self.worlds)
         self.worlds.add(world)
         return len(self.worlds) > before
 
     def still(self, world: ModelWorld) -> bool:
+        """Return whether the world is worth going on from: nothing better was seen since."""
         del world
         return True
 
@@ -180,7 +169,7 @@ def explore(
     advance: Callable[[int, int], None] | None = None,
     *,
     until_broken: frozenset[str] | None = None,
-    seen: SeenWorlds | None = None,
+    seen: Exact | Covering | None = None,
     moves: Moves | None = None,
 ) -> Exploration:
     """Everything that can happen in a scope.
@@ -226,7 +215,7 @@ def explore(
 
 def _one_instant(
     trail: _Trail,
-    seen: SeenWorlds,
+    seen: Exact | Covering,
     waiting: list[ModelWorld],
 ) -> list[ModelWorld]:
     """Everything that can happen before the next tick, and the worlds of that tick."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Generic, TypeVar
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -115,26 +116,15 @@ def wrongly(attempts: Attempts, gate: GateKind) -> int:
     return sum(verdict.wrong for verdict in verdicts_of(attempts, gate))
 
 
-@frozen
-class Batch(Generic[Asked, Answer]):
-    """What one process runs. ``judge``: a function of a module, which is told runner, method and
-    what is asked.
-    """
-
-    rig: Rig
-    judge: Callable[[HandoverRunner, MethodConfig, Asked], Answer]
-    asked: Sequence[Asked]
-
-    def run(self) -> list[Answer]:
-        """Judge one after another. Garbage is looked for after them: they leave next to none."""
-        runner: HandoverRunner = trial_part(self.rig, "montecarlo")(self.rig).warmed()
-        with collector_off():
-            return [self.judge(runner, self.rig.method, one) for one in self.asked]
-
-
-def run_batch(batch: Batch[Asked, Answer]) -> list[Answer]:
-    """Run a batch: the function that a pool of processes is given."""
-    return batch.run()
+def judge_all(
+    rig: Rig,
+    judge: Callable[[HandoverRunner, MethodConfig, Asked], Answer],
+    asked: Sequence[Asked],
+) -> list[Answer]:
+    """Judge one after another. Garbage is looked for after them: they leave next to none."""
+    runner: HandoverRunner = trial_part(rig, "montecarlo")(rig).warmed()
+    with collector_off():
+        return [judge(runner, rig.method, one) for one in asked]
 
 
 def batches(
@@ -142,9 +132,9 @@ def batches(
     judge: Callable[[HandoverRunner, MethodConfig, Asked], Answer],
     asked: Sequence[Asked],
     of: int,
-) -> list[Batch[Asked, Answer]]:
-    """Cut what is asked into batches of so many."""
-    return [Batch(rig, judge, asked[at : at + of]) for at in range(0, len(asked), of)]
+) -> list[partial[list[Answer]]]:
+    """Cut what is asked into batches of so many, each for a process of its own."""
+    return [partial(judge_all, rig, judge, asked[at : at + of]) for at in range(0, len(asked), of)]
 
 
 def together(parts: Iterable[Sequence[Answer]]) -> list[Answer]:

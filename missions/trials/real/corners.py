@@ -8,13 +8,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from missions.trials.pose.corners.methods import OPENCV, PIXEL_CENTRE, TITLES
+from missions.trials.pose.corners.methods import OPENCV, PIXEL_CENTRE, TITLES, FoundMarker
 from missions.trials.real.set import RealSet
 from path.arrays import Image
 from path.camera.model import CameraModel
 from path.geometry.transforms import Matrix
 from path.marker.detect import refine_corners, trusted_fit
-from path.values import frozen
 
 METHOD_TITLES = {
     "none": "cv2, not refined",
@@ -29,17 +28,6 @@ REFINEMENTS = {
 START = "contour"
 NAMED = ("filter", "coarse print", "shadow")  # what a fit can call wrong, in its order
 FELL_BACK = "fell back to SUBPIX"
-
-
-@frozen(eq=False)
-class FoundMarker:
-    """Corners (4, 2) px of one marker, their covariance (8, 8) where the method has one, and what
-    it called wrong.
-    """
-
-    corners_px: Matrix
-    covariance_px2: Matrix | None = None
-    wrong: tuple[str, ...] = ()
 
 
 Corners = dict[int, FoundMarker]

@@ -13,8 +13,9 @@ from dataclasses import field, replace
 
 import numpy as np
 
+from missions.trials.pose.corners.methods import FoundMarker
 from missions.trials.real.board import SetSeen, growth, robust_solution
-from missions.trials.real.corners import Corners, FoundMarker
+from missions.trials.real.corners import Corners
 from missions.trials.real.set import RealSet
 from path.arrays import Array
 from path.geometry.transforms import Matrix

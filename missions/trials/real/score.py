@@ -44,7 +44,6 @@ from missions.trials.shared.statistics import (
     robust_sigmas,
 )
 from path.arrays import Array, Image
-from path.values import frozen
 
 SCORE_STREAM = 2
 QUICK_IMAGES = 4
@@ -59,41 +58,30 @@ SHAPELY = ("perfect_corners", "as_stated")  # poses of corners whose print is kn
 Groups = NDArray[np.int64]
 
 
-@frozen
-class SetTask:
-    """One set to measure: its file, and what its paths are relative to.
+def score_set(
+    file: Path,
+    photographs: Path | None,
+    seed: int,
+    quick: bool,
+    renderer: type[FrameRenderer] | None = None,
+    twins: Path = Path("twins"),
+) -> SetScore:
+    """Measure one set and its rendered twin. Raises PartError.
 
-    Attributes:
+    Args:
+        photographs: what the file's paths are relative to; None: its own folder.
         renderer: draws the set's twin into the folder ``twins``; None for no twin.
     """
-
-    file: Path
-    photographs: Path | None
-    seed: int
-    quick: bool
-    renderer: type[FrameRenderer] | None = None
-    twins: Path = Path("twins")
-
-
-def score_set(task: SetTask) -> SetScore:
-    """Measure one set and its rendered twin. Raises PartError."""
-    own = read_set(task.file, task.photographs)
-    images = own.images[:: max(1, len(own.images) // QUICK_IMAGES)] if task.quick else own.images
+    own = read_set(file, photographs)
+    images = own.images[:: max(1, len(own.images) // QUICK_IMAGES)] if quick else own.images
     seen = look_at_set(own, images)
     measured = _measure(own, seen)
-    score = _score(own, images, seen, measured, task.seed)
-    if task.renderer is None:
+    score = _score(own, images, seen, measured, seed)
+    if renderer is None:
         return score
     try:
-        twin = render_twin(
-            own,
-            seen,
-            measured.get("photometric"),
-            images,
-            task.renderer,
-            task.seed,
-            task.twins,
-        )
+        best = measured.get("photometric")
+        twin = render_twin(own, seen, best, images, renderer, seed, twins)
         if twin is None:
             return replace(score, untwinned="the camera's response shows in too few straight edges")
         drawn, response = twin
@@ -101,7 +89,7 @@ def score_set(task: SetTask) -> SetScore:
     except (ValueError, PartError) as error:
         # What was measured on the photographs stands: a twin is drawn beside it.
         return replace(score, untwinned=str(error))
-    rendered = _score(own, drawn, again, _measure(own, again), task.seed)
+    rendered = _score(own, drawn, again, _measure(own, again), seed)
     return replace(score, twin=TwinScore(response, rendered))
 
 

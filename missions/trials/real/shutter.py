@@ -12,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from missions.trials.pose.corners.methods import FoundMarker
 from missions.trials.real.board import BoardSeen, Photograph, SetSeen, robust_solution, see_board
-from missions.trials.real.corners import Corners, FoundMarker
+from missions.trials.real.corners import Corners
 from missions.trials.real.errors import MethodPoses, measure_set
 from missions.trials.real.set import RealSet
 from missions.trials.shared.statistics import rms

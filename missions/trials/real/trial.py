@@ -5,12 +5,14 @@ themselves.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from drivers.interfaces import PartError
+from missions.ground.work import call
 from missions.trials.real.corners import METHOD_TITLES, METHODS
 from missions.trials.real.pictures import draw_sets
 from missions.trials.real.results import Figure95, SetScore, TwinScore
-from missions.trials.real.score import KNOWN_GRAVITY, SetTask, score_set
+from missions.trials.real.score import KNOWN_GRAVITY, score_set
 from missions.trials.shared.trial import (
     TrialFinding,
     TrialPicture,
@@ -72,7 +74,8 @@ def run(request: TrialRequest) -> TrialResult:
         )
     renderer = request.part("renderer")
     tasks = [
-        SetTask(
+        partial(
+            score_set,
             file,
             request.photographs,
             request.seed,
@@ -82,7 +85,7 @@ def run(request: TrialRequest) -> TrialResult:
         )
         for file in request.sets
     ]
-    scores = request.work.map("sets", score_set, tasks)
+    scores = request.work.map("sets", call, tasks)
     draw_sets(scores, request.out / PICTURE)
     return TrialResult(
         summary={"sets": {score.name: score.summary() for score in scores}},

@@ -34,13 +34,8 @@ WRONG = "#ff3030"
 RIGHT = OWN_BOX
 
 
-@frozen
-class SweepCurve:
-    """Accuracy of one method along a sweep."""
-
-    method: str
-    title: str
-    tallies: tuple[FrameTally, ...]
+Sweep = tuple[str, tuple[float, ...], list[dict[str, FrameTally]]]
+"""Title of its axis, its values, and at each of them the frames of every method by outcome."""
 
 
 @frozen
@@ -109,21 +104,20 @@ def draw_outcomes(
     save(figure, path)
 
 
-def draw_sweeps(
-    sweeps: Sequence[tuple[str, Sequence[float], Sequence[SweepCurve]]], path: Path
-) -> None:
-    """Accuracy along each sweep: its axis title, its values, its curves; 95 % intervals as bars."""
+def draw_sweeps(sweeps: Sequence[Sweep], titles: Mapping[str, str], path: Path) -> None:
+    """Accuracy of every method along each sweep; 95 % intervals as bars."""
     figure = sheet(6.2 * len(sweeps), 4.2)
-    for column, (title, values, curves) in enumerate(sweeps):
+    for column, (title, values, points) in enumerate(sweeps):
         axes = figure.add_subplot(1, len(sweeps), column + 1)
         step = (max(values) - min(values)) / 100.0
-        for k, curve in enumerate(curves):
-            x = np.array(values) + step * (k - 0.5 * (len(curves) - 1))
-            y = np.array([each.accuracy for each in curve.tallies])
-            low, high = np.array([each.interval("tp", "tn") for each in curve.tallies]).T
+        for k, method in enumerate(points[0]):
+            tallies = [point[method] for point in points]
+            x = np.array(values) + step * (k - 0.5 * (len(points[0]) - 1))
+            y = np.array([each.accuracy for each in tallies])
+            low, high = np.array([each.interval("tp", "tn") for each in tallies]).T
             axes.errorbar(
-                x, 100 * y, 100 * np.maximum(0.0, (y - low, high - y)), color=METHOD_COLOURS[curve.method],
-                label=curve.title, marker="o", ms=4, lw=1.5, elinewidth=0.9, capsize=2,
+                x, 100 * y, 100 * np.maximum(0.0, (y - low, high - y)), color=METHOD_COLOURS[method],
+                label=titles[method], marker="o", ms=4, lw=1.5, elinewidth=0.9, capsize=2,
             )  # fmt: skip
         axes.set_ylim(-2, 103)
         axes.set_xlabel(title, fontsize=9)

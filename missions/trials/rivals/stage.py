@@ -65,10 +65,6 @@ ATTEMPTS = 20_000
 CROWDS = 12
 
 
-class NoRoomError(Exception):
-    """No stage of this kind was found."""
-
-
 @frozen
 class Wanted:
     """The conditions that a stage is drawn for.
@@ -156,7 +152,7 @@ def draw(wanted: Wanted, rng: np.random.Generator) -> DrawnStage:
     """A random stage; what people hide of each other is not looked at here, but for ``hidden``.
 
     Raises:
-        NoRoomError: none was found.
+        RuntimeError: none was found.
     """
     widest = WIDEST_RAD if wanted.viewpoint_rad is None else wanted.viewpoint_rad
     narrowest = (
@@ -179,7 +175,7 @@ def draw(wanted: Wanted, rng: np.random.Generator) -> DrawnStage:
             )
             if scene is not None and _crowd_fits(scene):
                 return scene
-    raise NoRoomError(f"no stage for {wanted}")
+    raise RuntimeError(f"no stage for {wanted}")
 
 
 def _drones(wanted: Wanted, turn: float, rng: np.random.Generator) -> DrawnStage | None:

@@ -14,7 +14,7 @@ import numpy as np
 from missions.trials.rivals.examples import draw_view
 from missions.trials.rivals.frame import FrameResult, FrameTask, judge
 from missions.trials.rivals.own import method_of
-from missions.trials.rivals.pictures import SweepCurve, draw_outcomes, draw_sweeps
+from missions.trials.rivals.pictures import Sweep, draw_outcomes, draw_sweeps
 from missions.trials.rivals.report import (
     TITLES,
     cause_table,
@@ -50,7 +50,6 @@ WIDE_NEAREST_M = (0.8, 2.0)
 PATHS = ("path", "path_color")
 
 Variants = dict[str, tuple[BaselineConfig, ...]]
-Sweep = tuple[str, tuple[float, ...], list[dict[str, FrameTally]]]
 
 
 def run(request: TrialRequest) -> TrialResult:
@@ -276,18 +275,7 @@ def _draw(
     sweeps: Mapping[str, Sweep],
 ) -> tuple[TrialPicture, ...]:
     draw_outcomes(tallies, TITLES, request.out / "outcomes.png")
-    drawn = [
-        (
-            title,
-            values,
-            [
-                SweepCurve(method, TITLES[method], tuple(point[method] for point in points))
-                for method in tallies
-            ],
-        )
-        for title, values, points in sweeps.values()
-    ]
-    draw_sweeps(drawn, request.out / "sweeps.png")
+    draw_sweeps(list(sweeps.values()), TITLES, request.out / "sweeps.png")
     caption = draw_view(request, tasks, judged, rules)
     return (
         TrialPicture(

@@ -16,7 +16,7 @@ import pytest
 from drivers.clock import SystemClock
 from drivers.interfaces import CameraError, Frame
 from drivers.perception.pixels import PixelPerception, PixelPerceptionConfig
-from drivers.recordings.camera import RecordedCamera, RecordedCameraConfig, RecordingEnded
+from drivers.recordings.camera import RecordedCamera, RecordedCameraConfig
 from drivers.rig.calibration_file import CalibrationError
 from drivers.rig.parts import Mount, Origin, PartContext
 from drivers.rig.tables import RigError, decode_table
@@ -83,7 +83,7 @@ def taken(frames: list[Frame]) -> list[tuple[int, float, int]]:
 
 async def until_it_ends(camera: RecordedCamera, pause_s: float = 0.0) -> list[Frame]:
     frames: list[Frame] = []
-    with pytest.raises(RecordingEnded, match="the recording ended after"):
+    with pytest.raises(CameraError, match="the recording ended after"):
         while True:
             frames.append(await camera.read(5.0))
             await asyncio.sleep(pause_s)

@@ -40,10 +40,6 @@ TARGET_W_M = (0.05, 1.5, 0.08)
 R_W_N = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-class SceneError(RuntimeError):
-    """The frames do not show what is to be timed."""
-
-
 @frozen(eq=False)
 class Moment:
     """One frame of each drone.
@@ -80,7 +76,7 @@ def shoot_film(
     size: str,
     count: int,
 ) -> Film:
-    """Render ``count`` moments. Raises SceneError when the detector does not find the target in one
+    """Render ``count`` moments. Raises RuntimeError when the detector does not find the target in one
     of them.
     """
     rig = request.rig
@@ -108,7 +104,7 @@ def shoot_film(
         }
         box1 = _nearest(found[Role.SENDER], cameras[Role.SENDER].project_point((x, y, z)))
         if box1 is None or not found[Role.RECEIVER]:
-            raise SceneError(f"{size}, frame {k}: the target is not found")
+            raise RuntimeError(f"{size}, frame {k}: the target is not found")
         moments.append(
             Moment(
                 {role: shot.color for role, shot in shots.items()},

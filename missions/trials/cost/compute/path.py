@@ -26,9 +26,8 @@ from missions.trials.cost.compute.film import (
     PERIOD_NS,
     Film,
     Moment,
-    SceneError,
 )
-from missions.trials.cost.compute.journals import Journals
+from missions.trials.cost.compute.journals import log_receiver, log_sender
 from missions.trials.cost.compute.stopwatch import Stopwatch, TimedView, overhead_ns
 from path.cycle.prior import Prior
 from path.cycle.sender import PairVerdict
@@ -88,7 +87,7 @@ class PathPair:
     ) -> None:
         self._rig = rig
         self._film = film
-        self._journals = Journals(logs)
+        self._logs = logs
         self._motion: VehicleMotions | None = None
         self._pairs: Sequence[PairVerdict] = ()
         self._mounts = {role: rig.role(role).mount for role in Role}
@@ -119,7 +118,7 @@ class PathPair:
         self.agreed = 0
 
     def cycle(self) -> dict[str, float]:
-        """The next pair of frames; time of each stage and sum, us. Raises SceneError when PATH
+        """The next pair of frames; time of each stage and sum, us. Raises RuntimeError when PATH
         makes nothing of it.
         """
         moment, number, watch = self._next()
@@ -131,7 +130,7 @@ class PathPair:
         packet = watch("encode_target", self._codecs[Role.SENDER].encode, sent)
         target = watch("decode_target", self._codecs[Role.RECEIVER].decode, packet)
         if not isinstance(target, Target):
-            raise SceneError(f"the target's packet was dropped: {target}")
+            raise RuntimeError(f"the target's packet was dropped: {target}")
         gravity_v = watch("d2_take", self._take, target)
         seen_by_d2 = TimedView(self._view(moment, Role.RECEIVER, stamp_ns + BETWEEN_NS), watch)
         fix = self._fix(moment, seen_by_d2, gravity_v, watch)
@@ -141,7 +140,7 @@ class PathPair:
         packet = watch("encode_candidate", self._codecs[Role.RECEIVER].encode, answer.candidate)
         received = watch("decode_candidate", self._codecs[Role.SENDER].decode, packet)
         if not isinstance(received, Candidate):
-            raise SceneError(f"the candidate's packet was dropped: {received}")
+            raise RuntimeError(f"the candidate's packet was dropped: {received}")
         watch("d1_judge", self._hear_and_judge, received)
         self._log(view, seen_by_d2, own, (target, moment, fix, answer), watch)
         self._seen[number] = _Seen(depth, fix, found)
@@ -190,13 +189,13 @@ class PathPair:
         depth: Depth | None,
         watch: Stopwatch,
     ) -> tuple[OwnFrame, Target]:
-        """The frame, and the message in it. Raises SceneError when there is none."""
+        """The frame, and the message in it. Raises RuntimeError when there is none."""
         gravity_v = gravity_in(moment.R_n_b[Role.SENDER] @ self._mounts[Role.SENDER].T_b_v.R)
         stamp_ns = self._frame * PERIOD_NS
         seen = Sighting(moment.box1, depth)
         own = watch("d1_target", self._sender.observe, self._frame, stamp_ns, seen, gravity_v)
         if not isinstance(own.message, Target):
-            raise SceneError(f"D1 has no target: {own.message.reason.value}")
+            raise RuntimeError(f"D1 has no target: {own.message.reason.value}")
         return own, own.message
 
     def _take(self, target: Target) -> Vec3 | None:
@@ -219,7 +218,7 @@ class PathPair:
         )  # fmt: skip
         fix = watch("d2_marker", self._look, view, motion, R_n_c, gravity_v, gravity_c)
         if not isinstance(fix, MarkerFix):
-            raise SceneError(f"D2 has no pose: {fix.reason.value}")
+            raise RuntimeError(f"D2 has no pose: {fix.reason.value}")
         self._again(moment, fix, view, gravity_v, gravity_c, watch)
         return fix
 
@@ -227,7 +226,7 @@ class PathPair:
         stamp_ns = self._frame * PERIOD_NS + BETWEEN_NS
         prior = watch("d2_prior", self._receiver.prior, fix, stamp_ns)
         if not isinstance(prior, Prior):
-            raise SceneError(f"D2 has no prior: {prior.reason.value}")
+            raise RuntimeError(f"D2 has no prior: {prior.reason.value}")
         return prior
 
     def _answer(
@@ -239,7 +238,7 @@ class PathPair:
         stamp_ns = self._frame * PERIOD_NS + BETWEEN_NS
         answer = watch("d2_candidate", self._receiver.answer, self._frame, stamp_ns, found, prior)
         if answer is None or answer.candidate.box is None:
-            raise SceneError("D2 has no candidate")
+            raise RuntimeError("D2 has no candidate")
         return answer
 
     def _look(
@@ -264,18 +263,12 @@ class PathPair:
     ) -> None:
         target, moment, fix, answer = made
         assert self._motion is not None
-        watch(
-            "d1_log",
-            self._journals.sender,
-            one,
-            own,
-            answer.candidate,
-            self._pairs,
-            self._sender,
-        )
+        log = self._logs[Role.SENDER]
+        watch("d1_log", log_sender, log, one, own, answer.candidate, self._pairs, self._sender)
         R_n_c = moment.R_n_b[Role.RECEIVER] @ self._mounts[Role.RECEIVER].T_b_c.R
         attitudes = R_n_c, self._marker.R_n_v
-        watch("d2_log", self._journals.receiver, two, target, fix, self._motion, attitudes, answer)
+        log = self._logs[Role.RECEIVER]
+        watch("d2_log", log_receiver, log, two, target, fix, self._motion, attitudes, answer)
 
     def _hear_and_judge(self, candidate: Candidate) -> None:
         """A candidate waits for D1's next frame: what is judged in a cycle is that of the cycle

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.clock import busy_ns
 from drivers.interfaces import PartError
-from missions.trials.cost.compute.rounds import one_thread
+from missions.trials.cost.compute.rounds import median_ms, one_thread, p99_ms
 from missions.trials.real.board import BoardSeen, SetSeen, look_at_set
 from missions.trials.real.set import RealSet, read_set
 from path.camera.model import CameraModel
@@ -61,10 +61,10 @@ class PhotographTimes:
             "height": self.camera.height,
             "looks": len(self.us),
             "poses": self.poses,
-            "median_ms": float(np.median(self.us)) / 1e3,
-            "p99_ms": float(np.percentile(self.us, 99.0)) / 1e3,
-            "search_median_ms": float(np.median(self.search_us)) / 1e3,
-            "opencv_median_ms": float(np.median(self.opencv_us)) / 1e3,
+            "median_ms": median_ms(self.us),
+            "p99_ms": p99_ms(self.us),
+            "search_median_ms": median_ms(self.search_us),
+            "opencv_median_ms": median_ms(self.opencv_us),
         }
 
 

@@ -49,19 +49,16 @@ class ComputePlan:
 QUICK = ComputePlan(frames=4, blocks=3, path=4, orb=1)
 
 
-@frozen
-class Timings:
-    """The times of one image size: every cycle of a stage or method, us, by block: (blocks,
-    cycles).
-    """
+Timings = dict[str, Array]
+"""The times of one image size: every cycle of a stage or method, us, by block: (blocks, cycles)."""
 
-    us: dict[str, Array]
 
-    def median_ms(self, name: str) -> float:
-        return float(np.median(self.us[name])) / 1e3
+def median_ms(us: Array) -> float:
+    return float(np.median(us)) / 1e3
 
-    def p99_ms(self, name: str) -> float:
-        return float(np.percentile(self.us[name], 99.0)) / 1e3
+
+def p99_ms(us: Array) -> float:
+    return float(np.percentile(us, 99.0)) / 1e3
 
 
 def time_all(
@@ -100,7 +97,7 @@ def _time_all(
         for block in request.work.steps(f"rounds at {film.size}", range(plan.blocks)):
             order = [turns[(block + k) % len(turns)] for k in range(len(turns))]
             collected.append({name: us for turn in order for name, us in turn().items()})
-    return Timings({name: np.array([block[name] for block in collected]) for name in collected[0]})
+    return {name: np.array([block[name] for block in collected]) for name in collected[0]}
 
 
 class Baseline:

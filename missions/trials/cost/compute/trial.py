@@ -15,7 +15,16 @@ from missions.look.report.palette import COUNT, DIM, FAULT, NEEDED, ROLE, tidy
 from missions.trials.cost.compute.film import SIZES, shoot_film
 from missions.trials.cost.compute.path import DETECTORS, GEOMETRY, MESSAGES, SUMS
 from missions.trials.cost.compute.photographs import PhotographTimes, time_photographs
-from missions.trials.cost.compute.rounds import HOT, QUICK, Array, ComputePlan, Timings, time_all
+from missions.trials.cost.compute.rounds import (
+    HOT,
+    QUICK,
+    Array,
+    ComputePlan,
+    Timings,
+    median_ms,
+    p99_ms,
+    time_all,
+)
 from missions.trials.shared.drawing import save, sheet
 from missions.trials.shared.statistics import Statistic, bootstrap, figure_of, medians, percentiles
 from missions.trials.shared.trial import (
@@ -95,9 +104,9 @@ def run(request: TrialRequest) -> TrialResult:
     _draw(timings, request.out / PICTURE)
     stages = {
         size: {
-            name: {"median_ms": timing.median_ms(name), "p99_ms": timing.p99_ms(name)}
+            name: {"median_ms": median_ms(timing[name]), "p99_ms": p99_ms(timing[name])}
             for name in TITLES
-            if name in timing.us
+            if name in timing
         }
         for size, timing in timings.items()
     }
@@ -148,10 +157,10 @@ def _ratios(timing: Timings, rng: np.random.Generator) -> dict[str, dict[str, fl
     resampling blocks.
     """
     found: dict[str, dict[str, float]] = {}
-    for method in (name for name in timing.us if name.startswith(("orb_", "xfeat_"))):
+    for method in (name for name in timing if name.startswith(("orb_", "xfeat_"))):
         for counted in COUNTED:
-            ours = np.median(timing.us[counted], axis=1)
-            theirs = np.median(timing.us[method], axis=1)
+            ours = np.median(timing[counted], axis=1)
+            theirs = np.median(timing[method], axis=1)
             blocks = np.column_stack((theirs, ours))
             low, high = bootstrap(blocks, _ratios_of, rng)
             found[f"{counted}_vs_{method}"] = {
@@ -176,7 +185,7 @@ def _budget_findings(
     def add(
         size: str, quantity: str, name: str, statistic: Statistic, goal_ms: float | None = None
     ) -> None:
-        us = timings[size].us[name]
+        us = timings[size][name]
         ours = figure_of(statistic, us) / MS
         low, high = bootstrap(us, statistic, rng)
         findings.append(
@@ -206,7 +215,7 @@ def _budget_findings(
 
 def _log_finding(timing: Timings, size: str, number: int) -> TrialFinding:
     """Return how much of a cycle goes into its log."""
-    share = timing.median_ms(f"d{number}_log") / timing.median_ms(f"d{number}_cycle")
+    share = median_ms(timing[f"d{number}_log"]) / median_ms(timing[f"d{number}_cycle"])
     return TrialFinding(
         f"log of D{number}, {size}, share of its cycle", f"{share:.3f}", "of medians", "", f"≤ {LOG_GOAL:g}",
         verdict(share <= LOG_GOAL),
@@ -274,7 +283,7 @@ def _conditions(plan: ComputePlan) -> TrialTable:
 
 
 def _stage_table(timings: Mapping[str, Timings]) -> TrialTable:
-    names = [name for name in TITLES if any(name in timing.us for timing in timings.values())]
+    names = [name for name in TITLES if any(name in timing for timing in timings.values())]
     rows = tuple(
         (TITLES[name], *(text for timing in timings.values() for text in _two(timing, name)))
         for name in names
@@ -289,7 +298,7 @@ def _stage_table(timings: Mapping[str, Timings]) -> TrialTable:
 
 
 def _two(timing: Timings, name: str) -> tuple[str, str]:
-    return f"{timing.median_ms(name):.3f}", f"{timing.p99_ms(name):.3f}"
+    return f"{median_ms(timing[name]):.3f}", f"{p99_ms(timing[name]):.3f}"
 
 
 def _counted_table() -> TrialTable:
@@ -342,18 +351,18 @@ def _draw(timings: Mapping[str, Timings], path: Path) -> None:
 
 
 def _draw_stages(axes: Axes, timing: Timings, labels: bool) -> None:
-    names = [name for name in reversed(TITLES) if name in timing.us]
-    medians = [max(timing.median_ms(name), LEFT_MS) for name in names]
+    names = [name for name in reversed(TITLES) if name in timing]
+    medians = [max(median_ms(timing[name]), LEFT_MS) for name in names]
     widths = [median - LEFT_MS for median in medians]
     axes.barh(
         range(len(names)), widths, 0.66, left=LEFT_MS, color=[_colour(name) for name in names]
     )
     for row, name in enumerate(names):
         axes.plot(
-            [medians[row], max(timing.p99_ms(name), LEFT_MS)], [row, row], color=NEEDED, lw=0.8
+            [medians[row], max(p99_ms(timing[name]), LEFT_MS)], [row, row], color=NEEDED, lw=0.8
         )
         axes.text(
-            max(timing.p99_ms(name), medians[row]) * 1.15,
+            max(p99_ms(timing[name]), medians[row]) * 1.15,
             row,
             f"{medians[row]:.3g}",
             va="center",

@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import Rig
 from missions.ground import rig_library
 from missions.ground.run_folder import new_folder
+from missions.ground.work import call
 from missions.look.report.records import RunRecords, load_run
 from missions.look.report.truth import truth_of
 from missions.trials.flights.beacon import report
@@ -55,7 +57,8 @@ def run(request: TrialRequest) -> TrialResult:
     if request.logs is not None:
         session = load_session(request.logs)
     elif rig.harness is not None:
-        (session,) = request.work.map("session flown", _fly, [(rig, request.seed, request.out)])
+        flying = partial(fly_session, rig, request.seed, new_folder(request.out / FLOWN))
+        (session,) = request.work.map("session flown", call, [flying])
     else:
         return _recorded(request)
     heard = heard_of(session.fixes, reference_of(rig).mounted)
@@ -90,11 +93,6 @@ def run(request: TrialRequest) -> TrialResult:
             "A constant latency of the beacons cannot be told from an offset between the clocks.",
         ),
     )
-
-
-def _fly(order: tuple[Rig, int, Path]) -> BeaconSession:
-    rig, seed, out = order
-    return fly_session(rig, seed, new_folder(out / FLOWN))
 
 
 def _draw(

@@ -1,4 +1,4 @@
-"""A whole mission flown for the trial, and what its logs say: PATH's trajectories and the beacons'.
+"""The motion of a mission flown for the trial, and what its logs say: PATH's trajectories and the beacons'.
 
 Frame ``u`` is north, west, up by a drone's own estimate: as the beacons' frame it is level, so that
 only a turn about the vertical lies between the two.
@@ -9,17 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from drivers.beacons.log import BeaconTruth, Mounted
-from drivers.beacons.record import BeaconRecorder
+from drivers.beacons.log import Mounted
 from drivers.interfaces import BeaconFix, PartError
 from drivers.log.mcap_log import LogRecord
-from drivers.rig.parts import Reference, Rig, import_factory
-from missions.fly.handoff.flight import fly_once
-from missions.look.report.records import WORLD_LOG, RunRecords
+from drivers.rig.parts import Reference, Rig
+from missions.look.report.records import RunRecords
 from missions.trials.shared.trajectory import Trajectory
 from path.arrays import Array
 from path.geometry.rotation import R_from_quat, normalized
@@ -39,29 +36,6 @@ MEDIAN_OVER = 5  # positions
 JUMP_M = 0.25  # from the median of its neighbours: no drone moves so between two positions
 
 
-@frozen
-class FlightOrder:
-    """One flight to fly, in a process of its own. ``rig``: with the trial's motion already in
-    it.
-    """
-
-    rig: Rig
-    beacons: str
-    seed: int
-    folder: Path
-
-
-@frozen
-class FlownSession:
-    """The end of a flight, and the truth of its beacons."""
-
-    folder: Path
-    seed: int
-    outcome: str
-    simulated_s: float
-    beacons: BeaconTruth
-
-
 def moving(rig: Rig, verify_s: float = VERIFY_S) -> Rig:
     """The rig with a faster target and a longer hand-over."""
     frames = round(verify_s * rig.method.hold_frames / rig.method.hold_s)
@@ -72,22 +46,6 @@ def moving(rig: Rig, verify_s: float = VERIFY_S) -> Rig:
         mission={**rig.mission, "follow_after_s": FOLLOW_S},
         world={**rig.world, "target": target},
     )
-
-
-def fly(order: FlightOrder) -> FlownSession:
-    """Fly one mission and let the beacons listen; the logs are in the order's folder."""
-    order.folder.mkdir(parents=True, exist_ok=True)
-    facts = fly_once(order.rig, order.seed, (), order.folder, lambda _: None)
-    listen = import_factory(order.beacons, order.rig.where("trials.beacons"))
-    recorder = BeaconRecorder(order.folder / BEACON_RECORD, 0.0, virtual=True)
-    truth = listen(
-        order.folder / WORLD_LOG,
-        recorder.write,
-        order.seed,
-        reference_of(order.rig).mounted,
-    )
-    recorder.close()
-    return FlownSession(order.folder, order.seed, facts.outcome, facts.simulated_s, truth)
 
 
 def reference_of(rig: Rig) -> Reference:

@@ -11,18 +11,16 @@ from dataclasses import fields, replace
 import numpy as np
 
 from drivers.beacons.log import BeaconTruth
-from drivers.beacons.record import read_any
 from drivers.rig.parts import Rig
-from missions.look.report.records import RunRecords, load_run
+from missions.look.report.records import RunFacts, RunRecords, load_run
 from missions.look.report.summary import target_error_m
 from missions.look.report.truth import Truth, truth_of
 from missions.trials.flights.beacon.offset_fit import fit_offset
+from missions.trials.flights.beacon.session import BeaconSession
 from missions.trials.flights.dynamic.coast import Coasts, coasts
 from missions.trials.flights.dynamic.flight import (
-    BEACON_RECORD,
     STEADY_S,
     BeaconTrace,
-    FlownSession,
     Motions,
     between,
     heard_of,
@@ -106,7 +104,8 @@ class HarnessVerdict(SessionErrors):
         truth: by subject.
     """
 
-    flown: FlownSession
+    session: BeaconSession
+    facts: RunFacts
     offset_error_s: float
     yaw_error_rad: float
     truth: dict[str, Compared]
@@ -136,19 +135,23 @@ def measure(
     return SessionErrors(heard, motions, clock, frame, free, noise_m, samples, beacons)
 
 
-def judge(order: tuple[FlownSession, Rig]) -> HarnessVerdict:
+def judge(session: BeaconSession, rig: Rig) -> HarnessVerdict:
     """Everything the trial says of one flight."""
-    flown, rig = order
-    run = load_run(flown.folder)
-    heard = heard_of(read_any(flown.folder / BEACON_RECORD), reference_of(rig).mounted)
-    measured = measure(run, heard, rig, flown.seed)
+    run = load_run(session.folder)
+    facts = run.facts
     truth = truth_of(run.world)
+    beacons = session.truth
+    assert facts is not None, "the flight came to its end"
     assert truth is not None, "trials are flown where there is truth"
+    assert beacons is not None, "the harness made the beacons up"
+    heard = heard_of(session.fixes, reference_of(rig).mounted)
+    measured = measure(run, heard, rig, facts.seed)
     return HarnessVerdict(
         *(getattr(measured, part.name) for part in fields(measured)),
-        flown=flown,
-        offset_error_s=offset_error_s(measured, flown.beacons, truth),
-        yaw_error_rad=_yaw_error(measured.frame, flown.beacons),
+        session=session,
+        facts=facts,
+        offset_error_s=offset_error_s(measured, beacons, truth),
+        yaw_error_rad=_yaw_error(measured.frame, beacons),
         truth=against_truth(run, truth, measured.motions),
         coasts=coasts(run, rig, truth),
     )
@@ -283,9 +286,11 @@ def true_places(judged: HarnessVerdict) -> Callable[[str, Array], Array]:
     """Return a body's true places in the beacons' frame, (n, 3), by instants of the receiver's
     clock.
     """
-    truth = truth_of(load_run(judged.flown.folder).world)
+    truth = truth_of(load_run(judged.session.folder).world)
+    beacons = judged.session.truth
     assert truth is not None
-    return lambda name, t: true_path(truth, name, judged.flown.beacons, t)
+    assert beacons is not None
+    return lambda name, t: true_path(truth, name, beacons, t)
 
 
 def true_path(

@@ -8,7 +8,7 @@ from dataclasses import fields
 from typing import Any
 
 from drivers.rig.parts import Rig
-from missions.trials.flights.dynamic.flight import TARGET_MPS, FlownSession
+from missions.trials.flights.dynamic.flight import TARGET_MPS
 from missions.trials.flights.dynamic.judge import RPE_M, RPE_S, SUBJECTS, HarnessVerdict
 from missions.trials.flights.errors import COLUMNS, NAMES, OFFSET_GOAL_S, between, cells, mm
 from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
@@ -69,9 +69,11 @@ def findings(summary: Mapping[str, Any]) -> tuple[TrialFinding, ...]:
 def noise(
     rig: Rig,
     estimator: Any,
-    flown: FlownSession,
+    beacons: Sequence[tuple[str, str]],
 ) -> TrialTable:
-    """``estimator``: dataclass of what the vehicles' own estimates get wrong."""
+    """``estimator``: dataclass of what the vehicles' own estimates get wrong. ``beacons``: what the
+    harness put into theirs.
+    """
     rows = [
         ("target", f"{TARGET_MPS:g} m/s round a bent loop, D1 behind it, D2 round D1"),
         ("wind", ", ".join(f"{key} {value:g}" for key, value in rig.world.get("wind", {}).items())),
@@ -83,7 +85,7 @@ def noise(
             (f"own estimate: {part.name}", f"{getattr(estimator, part.name):g}")
             for part in fields(estimator)
         ),
-        *flown.beacons.noise,
+        *beacons,
     ]
     return TrialTable("Noise and systematic errors", ("what", "value"), tuple(rows))
 
@@ -91,7 +93,7 @@ def noise(
 def flights(judged: Sequence[HarnessVerdict]) -> TrialTable:
     rows = [
         (
-            str(each.flown.seed), each.flown.outcome, f"{each.flown.simulated_s:.0f}",
+            str(each.facts.seed), each.facts.outcome, f"{each.facts.simulated_s:.0f}",
             f"{each.motions.speed_mps[0]:.2f}", f"{each.motions.speed_mps[1]:.2f}",
             str(len(each.motions.d2.t)), str(len(each.motions.target.t)),
             str(sum(int(u.sum()) for u in each.frame.used)),

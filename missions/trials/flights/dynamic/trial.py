@@ -11,21 +11,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from drivers.rig.parts import Rig
 from missions.ground import rig_library
+from missions.ground.run_folder import new_folder
+from missions.ground.work import call
+from missions.trials.flights.beacon.session import fly_session
 from missions.trials.flights.dynamic import report
-from missions.trials.flights.dynamic.flight import (
-    VERIFY_S,
-    FlightOrder,
-    FlownSession,
-    fly,
-    moving,
-    reference_of,
-)
+from missions.trials.flights.dynamic.flight import VERIFY_S, moving, reference_of
 from missions.trials.flights.dynamic.judge import SUBJECTS, HarnessVerdict, judge, true_places
 from missions.trials.flights.dynamic.pictures import draw_coast, draw_errors, draw_map
 from missions.trials.flights.errors import alignments, errors_of, spread, tilt_rad
@@ -62,28 +59,27 @@ def run(request: TrialRequest) -> TrialResult:
         )
     flights = 1 if request.quick else FLIGHTS
     rig = moving(rig, QUICK_VERIFY_S if request.quick else VERIFY_S)
-    orders = [
-        FlightOrder(
-            rig,
-            rig.trials["beacons"],
-            request.seed + k,
-            request.out / f"flight-{request.seed + k}",
-        )
-        for k in range(flights)
+    seeds = range(request.seed, request.seed + flights)
+    flying = [
+        partial(fly_session, rig, seed, new_folder(request.out / f"flight-{seed}"))
+        for seed in seeds
     ]
-    flown: list[FlownSession] = request.work.map("missions flown", fly, orders)
-    judged = request.work.map("flights judged", judge, [(each, rig) for each in flown])
+    flown = request.work.map("missions flown", call, flying)
+    judging = [partial(judge, each, rig) for each in flown]
+    judged = request.work.map("flights judged", call, judging)
+    beacons = judged[0].session.truth
+    assert beacons is not None
     rng = np.random.default_rng([request.seed, 2])
     summary = _summary(judged, rng)
     draw_map(judged[0], request.out / "map.png", true_places(judged[0]))
     draw_errors(judged[0], request.out / "errors.png", judged[0].truth)
     draw_coast(judged, request.out / "coast.png")
     estimator = request.part("estimator")(**rig.world.get("estimator", {}))
-    by_seed = {f"seed {each.flown.seed}": each for each in judged}
+    by_seed = {f"seed {each.facts.seed}": each for each in judged}
     return TrialResult(
         summary=summary,
         findings=report.findings(summary),
-        noise=report.noise(rig, estimator, flown[0]),
+        noise=report.noise(rig, estimator, beacons.noise),
         tables=(
             report.flights(judged),
             alignments(by_seed),
@@ -118,7 +114,7 @@ def _summary(judged: Sequence[HarnessVerdict], rng: np.random.Generator) -> dict
     against = {name: errors_of([each.beacons[name] for each in judged], rng) for name in SUBJECTS}
     return {
         "flights": len(judged),
-        "outcomes": [each.flown.outcome for each in judged],
+        "outcomes": [each.facts.outcome for each in judged],
         "time_offset_s": [each.clock.offset_s for each in judged],
         "time_offset_sigma_s": [each.clock.offset_sigma_s for each in judged],
         "time_offset_error_s": max((each.offset_error_s for each in judged), key=abs),

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from flight.harness.montecarlo import Attempt, WrongAssociation
+from missions.ground.work import call
 from missions.look.report.palette import DIM, FAULT, ROLE
 from missions.trials.handovers.evidence.blocks import LAGS, EvidenceAttempt, judge
 from missions.trials.handovers.judging import (
@@ -20,7 +21,6 @@ from missions.trials.handovers.judging import (
     GATES,
     Attempts,
     batches,
-    run_batch,
     times_s,
     together,
     verdicts_of,
@@ -81,7 +81,7 @@ def run(request: TrialRequest) -> TrialResult:
     groups = _groups(request.seed, request.quick)
     flat = [attempt for attempts in groups.values() for attempt in attempts]
     pieces = batches(rig, judge, flat, BATCH)
-    told = iter(together(request.work.map("Monte-Carlo hand-overs", run_batch, pieces)))
+    told = iter(together(request.work.map("Monte-Carlo hand-overs", call, pieces)))
     by_group: Groups = {
         name: list(islice(told, len(attempts))) for name, attempts in groups.items()
     }

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +28,6 @@ FAULTS: tuple[tuple[str, ...], ...] = (
 
 
 @frozen
-class MissionOrder:
-    """One mission. ``errors``: of its world; None as the rig says."""
-
-    seed: int
-    faults: tuple[str, ...]
-    gate: GateKind
-    folder: Path
-    errors: Errors = None
-
-
-@frozen
 class FlownMission:
     """The result of a mission.
 
@@ -48,7 +38,8 @@ class FlownMission:
         wrong: whether another object than the target was handed over.
     """
 
-    asked: MissionOrder
+    gate: GateKind
+    faults: tuple[str, ...]
     seconds: float | None
     wrong: bool
     ended: str
@@ -60,7 +51,7 @@ Flown = Sequence[FlownMission]
 
 def of_gate(flown: Flown, gate: GateKind) -> list[FlownMission]:
     """Return the missions of one gate."""
-    return [each for each in flown if each.asked.gate == gate]
+    return [each for each in flown if each.gate == gate]
 
 
 def seconds_of(flown: Flown) -> list[float]:
@@ -69,32 +60,34 @@ def seconds_of(flown: Flown) -> list[float]:
 
 
 def orders(
-    count: int,
-    seed: int,
-    gate: GateKind,
-    out: Path,
-    errors: Mapping[str, Any] | None = None,
-) -> list[MissionOrder]:
-    """Return so many missions: the same seeds and faults for every gate."""
-    seeds = range(seed * 1000, seed * 1000 + count)
+    count: int, seed: int, gate: GateKind, out: Path, errors: Errors = None
+) -> list[partial[FlownMission]]:
+    """Return so many missions: the same seeds and faults for every gate. ``errors``: of their
+    world; None as the rig says.
+    """
     return [
-        MissionOrder(each, FAULTS[k % len(FAULTS)], gate, out / f"{gate}-{k:03d}", errors)
-        for k, each in enumerate(seeds)
+        partial(
+            fly, seed * 1000 + k, FAULTS[k % len(FAULTS)], gate, out / f"{gate}-{k:03d}", errors
+        )
+        for k in range(count)
     ]
 
 
-def fly(asked: MissionOrder) -> FlownMission:
+def fly(
+    seed: int, faults: tuple[str, ...], gate: GateKind, folder: Path, errors: Errors = None
+) -> FlownMission:
     """Fly one mission; its logs are read and thrown away."""
     rig = rig_library.load(RIG)
-    if asked.errors is not None:
-        rig = replace(rig, world={**rig.world, "errors": asked.errors})
-    rig = replace(rig, method=replace(rig.method, gate=asked.gate))
+    if errors is not None:
+        rig = replace(rig, world={**rig.world, "errors": errors})
+    rig = replace(rig, method=replace(rig.method, gate=gate))
     try:
-        facts, run = flown.fly(rig, asked.seed, asked.faults, asked.folder)
+        facts, run = flown.fly(rig, seed, faults, folder)
     finally:
-        flown.throw_away(asked.folder)
+        flown.throw_away(folder)
     return FlownMission(
-        asked=asked,
+        gate=gate,
+        faults=faults,
         seconds=agreement_s(run),
         wrong=bool(summarize(run)["wrong_handover"]),
         ended=f"{facts.outcome}: {facts.detail}",

@@ -5,11 +5,13 @@ hand-overs with faults.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from flight.harness.montecarlo import HandoverRunner
+from missions.ground.work import call
 from missions.trials.handovers.handshake import missions
 from missions.trials.handovers.handshake.attempts import (
     FAULT_NAMES,
@@ -21,13 +23,12 @@ from missions.trials.handovers.handshake.attempts import (
     reasons,
     wrong_by_fault,
 )
-from missions.trials.handovers.handshake.missions import Flown, MissionOrder, of_gate, seconds_of
+from missions.trials.handovers.handshake.missions import Flown, FlownMission, of_gate, seconds_of
 from missions.trials.handovers.handshake.pictures import draw_faults, draw_times
 from missions.trials.handovers.judging import (
     GATES,
     Verdict,
     batches,
-    run_batch,
     times_s,
     together,
     verdicts_of,
@@ -82,16 +83,16 @@ _DRAWN = (
 def run(request: TrialRequest) -> TrialResult:
     counts = QUICK_MISSIONS if request.quick else MISSIONS
     errors = request.rig.world.get("errors")
-    asked: list[MissionOrder] = []
+    asked: list[partial[FlownMission]] = []
     for gate in GATES:
         asked += missions.orders(counts[gate], request.seed, gate, request.out / "flights", errors)
-    flown = request.work.map("missions", missions.fly, asked)
+    flown = request.work.map("missions", call, asked)
     # Compiled here, before two processes would do it twice.
     runner: HandoverRunner = request.part("montecarlo")(request.rig).warmed()
     count = QUICK_ATTEMPTS if request.quick else ATTEMPTS
     attempts = [attempt_of(request.seed, index) for index in range(count)]
     pieces = batches(request.rig, judge, attempts, BATCH)
-    tried = together(request.work.map("Monte-Carlo hand-overs", run_batch, pieces))
+    tried = together(request.work.map("Monte-Carlo hand-overs", call, pieces))
     rng = np.random.default_rng([request.seed, 11])
     summary = _summary(flown, tried)
     draw_times(flown, tried, request.out / TIMES)
@@ -349,8 +350,8 @@ def _mission_table(flown: Flown) -> TrialTable:
     rows: list[tuple[str, ...]] = []
     for gate in GATES:
         own = of_gate(flown, gate)
-        for faults in sorted({each.asked.faults for each in own}):
-            some = [each for each in own if each.asked.faults == faults]
+        for faults in sorted({each.faults for each in own}):
+            some = [each for each in own if each.faults == faults]
             times = [f"{seconds:.2f}" for seconds in sorted(seconds_of(some))]
             ends = sorted({each.ended for each in some if each.seconds is None})
             named = ", ".join(faults) or "none"

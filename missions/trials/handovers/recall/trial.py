@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from missions.ground.resumable_lines import ResumableLines
+from missions.ground.work import call
 from missions.trials.handovers.judging import (
     GATE_TITLES,
     Attempts,
     batches,
-    run_batch,
     verdicts_of,
     wrongly,
 )
@@ -123,7 +123,7 @@ def _judged(request: TrialRequest, asked: Sequence[AttemptOrder]) -> list[Pair]:
         left = [order for order in asked if order.attempt.index not in done]
         for part in request.work.stream(
             "Monte-Carlo hand-overs",
-            run_batch,
+            call,
             batches(rig, judge, left, BATCH),
         ):
             kept.add(part)

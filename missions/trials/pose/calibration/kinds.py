@@ -206,9 +206,8 @@ def kind_table(results: Sequence[KindResult]) -> TrialTable:
     )
 
 
-def calibrate_kind(work: tuple[type[FrameRenderer], str, int]) -> KindResult:
-    """A piece of work: one set, shot and calibrated as the command does it."""
-    renderer, name, seed = work
+def calibrate_kind(renderer: type[FrameRenderer], name: str, seed: int) -> KindResult:
+    """Shoot one set, and calibrate from it as the command does."""
     kind = KINDS[name]
     camera = camera_of(kind.size)
     images = _photographs(renderer, camera, kind, seed)

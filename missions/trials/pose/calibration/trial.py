@@ -6,11 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from flight.harness.renderer import IDEAL, REALISTIC, REALISTIC_VIDEO, FrameRenderer, Imaging
+from missions.ground.work import call
 from missions.trials.pose.calibration.kinds import (
     KINDS,
     QUICK,
@@ -65,18 +67,6 @@ HELD_OUT_GOAL = 0.10
 
 
 @frozen
-class Set:
-    """One set of views to shoot and to calibrate from."""
-
-    renderer: type[FrameRenderer]
-    camera: CameraModel
-    board: str
-    condition: str
-    seed: int
-    views: int
-
-
-@frozen
 class SetResult:
     """The result of a set: errors of the corners (n, 2) px by method, relative ones of fx and fy,
     and the residuals.
@@ -104,16 +94,18 @@ def run(request: TrialRequest) -> TrialResult:
     conditions = ("ideal", "realistic") if request.quick else tuple(CONDITIONS)
     kinds = QUICK if request.quick else tuple(KINDS)
     pieces = [
-        Set(renderer, camera, board, condition, 1000 * request.seed + number, views)
+        partial(
+            calibrate_set, renderer, camera, board, condition, 1000 * request.seed + number, views
+        )
         for condition in conditions
         for board in BOARDS
         for number in range(sets)
     ]
-    outcomes = request.work.map("sets of views", calibrate_set, pieces)
+    outcomes = request.work.map("sets of views", call, pieces)
     ends = request.work.map(
         "kinds of sets",
-        calibrate_kind,
-        [(renderer, kind, request.seed) for kind in kinds],
+        call,
+        [partial(calibrate_kind, renderer, kind, request.seed) for kind in kinds],
     )
     groups = {
         (c, b): [o for o in outcomes if (o.condition, o.board) == (c, b)]
@@ -141,12 +133,18 @@ def run(request: TrialRequest) -> TrialResult:
     )
 
 
-def calibrate_set(work: Set) -> SetResult:
-    """A piece of work."""
-    board = BOARDS[work.board]
-    camera = work.camera
-    where = list(board_poses(camera, board, Held(), work.views, work.seed))
-    images = photographs(work.renderer, camera, board, where, work.seed, CONDITIONS[work.condition])
+def calibrate_set(
+    renderer: type[FrameRenderer],
+    camera: CameraModel,
+    board_name: str,
+    condition: str,
+    seed: int,
+    count: int,
+) -> SetResult:
+    """Shoot one set of so many views, and calibrate from it."""
+    board = BOARDS[board_name]
+    where = list(board_poses(camera, board, Held(), count, seed))
+    images = photographs(renderer, camera, board, where, seed, CONDITIONS[condition])
     views: list[BoardView] = []
     own: list[np.ndarray[Any, np.dtype[np.float64]]] = []
     opencv: list[np.ndarray[Any, np.dtype[np.float64]]] = []
@@ -166,8 +164,8 @@ def calibrate_set(work: Set) -> SetResult:
     truth = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
     off = np.array(solution.values) - truth
     return SetResult(
-        work.board,
-        work.condition,
+        board_name,
+        condition,
         np.concatenate(opencv),
         np.concatenate(own),
         (float(off[0] / camera.fx), float(off[1] / camera.fy)),

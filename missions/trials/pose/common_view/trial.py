@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from drivers.link.wire import PART_WIRE_BYTES
 from flight.common_view import KEYFRAME_S
+from missions.ground.work import call
 from missions.trials.pose.common_view.sequence import (
     Pair,
     Sequence,
@@ -56,16 +58,6 @@ GOAL_MS = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
-    """Some pairs of a row. ``pairs``: each with its number, which its errors are drawn by."""
-
-    folder: Path
-    row: int
-    seed: int
-    pairs: tuple[tuple[int, Pair], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Answer:
     """What came of one pair.
 
@@ -99,21 +91,23 @@ def run(request: TrialRequest) -> TrialResult:
         return TrialResult({"rows": {}, "reason": reason}, (nothing,))
     sequence = read_sequence(request.common_view)
     number = QUICK_PAIRS if request.quick else PAIRS
-    pieces: list[Piece] = []
+    pieces: list[partial[list[Answer]]] = []
+    rows_of: list[int] = []
     there: list[int] = []
     for row, angles in enumerate(ROWS):
         rng = np.random.default_rng((request.seed, row))
         pairs = pairs_between(sequence, angles, APART_M, OVERLAP, number, rng)
         there.append(len(pairs))
         numbered = list(every(pairs, number))
+        some = [numbered[k : k + PIECE] for k in range(0, len(numbered), PIECE)]
         pieces += [
-            Piece(request.common_view, row, request.seed, tuple(numbered[k : k + PIECE]))
-            for k in range(0, len(numbered), PIECE)
+            partial(answer_pairs, request.common_view, (request.seed, row), own) for own in some
         ]
-    answers = request.work.map("pairs", answer_piece, pieces)
+        rows_of += [row] * len(some)
+    answers = request.work.map("pairs", call, pieces)
     rows: list[list[Answer]] = [[] for _ in ROWS]
-    for piece, own in zip(pieces, answers, strict=True):
-        rows[piece.row] += own
+    for row, own in zip(rows_of, answers, strict=True):
+        rows[row] += own
     summaries = [_summary(own, pairs) for own, pairs in zip(rows, there, strict=True)]
     named = {f"{low:.0f}-{high:.0f}": s for (low, high), s in zip(ROWS, summaries, strict=True)}
     everything = [answer for own in rows for answer in own]
@@ -132,12 +126,14 @@ def run(request: TrialRequest) -> TrialResult:
     )  # fmt: skip
 
 
-def answer_piece(piece: Piece) -> list[Answer]:
-    """A piece of work."""
-    sequence = read_sequence(piece.folder)
+def answer_pairs(
+    folder: Path, seed: tuple[int, int], pairs: list[tuple[int, Pair]]
+) -> list[Answer]:
+    """Ask for some pairs' poses; each has a number, by which its errors are drawn."""
+    sequence = read_sequence(folder)
     return [
-        answer_pair(sequence, pair, np.random.default_rng((piece.seed, piece.row, number)))
-        for number, pair in piece.pairs
+        answer_pair(sequence, pair, np.random.default_rng((*seed, number)))
+        for number, pair in pairs
     ]
 
 

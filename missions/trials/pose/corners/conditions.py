@@ -93,21 +93,14 @@ CONDITIONS = {
 }
 
 
-@frozen
-class ShotPose:
-    """One pose of the marker before the camera: world ENU, camera with z ahead."""
+def marker_in(stage: RenderedInstant, T_b_v: Pose) -> Pose:
+    """Return ``T_c_v``: the camera is mounted in its drone's origin, z ahead."""
+    return stage.T_w_b[Role.RECEIVER].inverse() @ stage.T_w_b[Role.SENDER] @ T_b_v
 
-    T_w_c: Pose
-    T_w_b1: Pose
 
-    def stage(self) -> RenderedInstant:
-        """The camera is mounted in its drone's origin."""
-        return RenderedInstant({Role.SENDER: self.T_w_b1, Role.RECEIVER: self.T_w_c})
-
-    def corners_px(self, camera: CameraModel, T_b_v: Pose) -> Matrix:
-        """True corners, (4, 2): where the edges of the print were meant to be."""
-        T_c_v = self.T_w_c.inverse() @ self.T_w_b1 @ T_b_v
-        return camera.project(T_c_v.apply(LAYOUT.markers[0].corners_v))
+def corners_px(T_c_v: Pose, camera: CameraModel) -> Matrix:
+    """Return the true corners, (4, 2): where the edges of the print were meant to be."""
+    return camera.project(T_c_v.apply(LAYOUT.markers[0].corners_v))
 
 
 def view(
@@ -115,7 +108,7 @@ def view(
     number: int,
     camera: CameraModel,
     T_b_v: Pose,
-) -> ShotPose:
+) -> RenderedInstant:
     """A random view: range, incidence and place in the image uniform, the same for every camera of
     one shape.
     """
@@ -136,7 +129,8 @@ def view(
     x, y = camera.ray(float(u), float(v))
     ray = np.array([x, y, 1.0]) / math.sqrt(x * x + y * y + 1.0)
     R_w_c = R_w_c @ _between(ray)  # the marker is seen along ``ray`` at the same incidence
-    return ShotPose(Pose(R_w_c, T_w_v.t - rng.uniform(*RANGE_M) * (R_w_c @ ray)), T_w_b1)
+    T_w_c = Pose(R_w_c, T_w_v.t - rng.uniform(*RANGE_M) * (R_w_c @ ray))
+    return RenderedInstant({Role.SENDER: T_w_b1, Role.RECEIVER: T_w_c})
 
 
 def _turned(tilt_rad: Vector, heading_rad: float) -> Matrix:

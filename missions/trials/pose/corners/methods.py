@@ -37,14 +37,15 @@ ENLARGED = 4.0
 WINDOW_PX = 23  # of the threshold, in the enlarged region
 
 
-@frozen
-class Found:
-    """Corners (4, 2) in px, in the order of the print, and their covariance (8, 8) where the method
-    has one.
+@frozen(eq=False)
+class FoundMarker:
+    """Corners (4, 2) px of one marker in the order of the print, their covariance (8, 8) where the
+    method has one, and what it called wrong.
     """
 
     corners_px: Matrix
-    covariance_px2: Matrix | None
+    covariance_px2: Matrix | None = None
+    wrong: tuple[str, ...] = ()
 
 
 def find(
@@ -54,7 +55,7 @@ def find(
     layout: MarkerLayout,
     camera: CameraModel,
     T_c_v: Pose,
-) -> Found | None:
+) -> FoundMarker | None:
     """The first marker of the layout in a region, None when it is not found, or more than once.
 
     ``T_c_v`` is the pose that is expected, for the method that is told one.
@@ -65,7 +66,9 @@ def find(
         found = detect_markers(image, region, layout, camera, expected=T_c_v)
     else:
         found = detect_markers(image, region, layout, camera, refine=cast(Refine, method))
-    return Found(found[0].corners_px, found[0].covariance_px2) if len(found) == 1 else None
+    if len(found) != 1:
+        return None
+    return FoundMarker(found[0].corners_px, found[0].covariance_px2)
 
 
 def _by_opencv(
@@ -73,7 +76,7 @@ def _by_opencv(
     image: Image,
     region: Region,
     layout: MarkerLayout,
-) -> Found | None:
+) -> FoundMarker | None:
     area = region.clipped(image.shape[1], image.shape[0])
     if area is None:
         return None
@@ -90,7 +93,7 @@ def _by_opencv(
     if len(own) != 1:
         return None
     quad = np.asarray(corners[own[0]], float).reshape(4, 2) - PIXEL_CENTRE[method]
-    return Found((quad + 0.5) / ENLARGED - 0.5 + np.array([u0, v0]), None)
+    return FoundMarker((quad + 0.5) / ENLARGED - 0.5 + np.array([u0, v0]))
 
 
 @cache

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from flight.harness.renderer import FrameRenderer, RendererSetup
-from missions.trials.pose.corners.conditions import CAMERAS, CONDITIONS, LAYOUT, view
-from missions.trials.pose.corners.methods import METHODS, Found, find
+from missions.trials.pose.corners.conditions import (
+    CAMERAS,
+    CONDITIONS,
+    LAYOUT,
+    corners_px,
+    marker_in,
+    view,
+)
+from missions.trials.pose.corners.methods import METHODS, FoundMarker, find
 from path.arrays import Image
 from path.geometry.rotation import exp
 from path.geometry.transforms import Matrix, Pose
@@ -24,19 +34,6 @@ EXPECTED_STREAM = 3
 
 
 @frozen
-class CornerSeries:
-    """Some views with one camera in one condition; ``shown`` is the view whose picture is kept."""
-
-    renderer: type[FrameRenderer]
-    T_b_v: Pose
-    camera: str
-    condition: str
-    seed: int
-    views: tuple[int, ...]
-    shown: int
-
-
-@frozen
 class CornerShot:
     """One shot.
 
@@ -51,41 +48,42 @@ class CornerShot:
     condition: str
     view: int
     true_px: Matrix
-    found: dict[str, Found | None]
+    found: dict[str, FoundMarker | None]
     picture: Image | None = None
     corner_px: tuple[int, int] = (0, 0)
 
 
-def shoot(shooting: CornerSeries) -> list[CornerShot]:
-    """A piece of work. Views and noise of the sensor are the same in every condition."""
-    camera = CAMERAS[shooting.camera]
-    condition = CONDITIONS[shooting.condition]
+def shoot(
+    kind: type[FrameRenderer],
+    T_b_v: Pose,
+    camera_name: str,
+    condition_name: str,
+    seed: int,
+    views: Sequence[int],
+    shown: int,
+) -> list[CornerShot]:
+    """Shoot some views with one camera in one condition; ``shown``: whose picture is kept.
+
+    Views and noise of the sensor are the same in every condition.
+    """
+    camera = CAMERAS[camera_name]
+    condition = CONDITIONS[condition_name]
     here = Pose(np.eye(3), np.zeros(3))
-    setup = RendererSetup(
-        camera,
-        here,
-        shooting.T_b_v,
-        LAYOUT,
-        condition.imaging,
-        condition.printing,
-    )
-    renderer = shooting.renderer(setup, shooting.seed)
+    setup = RendererSetup(camera, here, T_b_v, LAYOUT, condition.imaging, condition.printing)
+    renderer = kind(setup, seed)
     samples: list[CornerShot] = []
-    for number in shooting.views:
-        seen = view(shooting.seed, number, camera, shooting.T_b_v)
-        true_px = seen.corners_px(camera, shooting.T_b_v)
-        image = renderer.shoot(seen.stage(), Role.RECEIVER, number).color
-        region = _predicted(true_px, np.random.default_rng([shooting.seed, REGION_STREAM, number]))
-        expected = _expected(
-            seen.T_w_c.inverse() @ seen.T_w_b1 @ shooting.T_b_v,
-            shooting.seed,
-            number,
-        )
+    for number in views:
+        stage = view(seed, number, camera, T_b_v)
+        T_c_v = marker_in(stage, T_b_v)
+        true_px = corners_px(T_c_v, camera)
+        image = renderer.shoot(stage, Role.RECEIVER, number).color
+        region = _predicted(true_px, np.random.default_rng([seed, REGION_STREAM, number]))
+        expected = _expected(T_c_v, seed, number)
         found = {
             method: find(method, image, region, LAYOUT, camera, expected) for method in METHODS
         }
-        sample = CornerShot(shooting.camera, shooting.condition, number, true_px, found)
-        samples.append(_pictured(sample, image) if number == shooting.shown else sample)
+        sample = CornerShot(camera_name, condition_name, number, true_px, found)
+        samples.append(_pictured(sample, image) if number == shown else sample)
     return samples
 
 
@@ -117,12 +115,4 @@ def _pictured(sample: CornerShot, image: Image) -> CornerShot:
     u0 = max(round(u - reach), 0)
     v0 = max(round(v - reach), 0)
     cut = image[v0 : round(v + reach) + 1, u0 : round(u + reach) + 1].copy()
-    return CornerShot(
-        sample.camera,
-        sample.condition,
-        sample.view,
-        sample.true_px,
-        sample.found,
-        cut,
-        (u0, v0),
-    )
+    return replace(sample, picture=cut, corner_px=(u0, v0))

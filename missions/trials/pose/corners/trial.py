@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from missions.ground.work import call
 from missions.trials.pose.corners.conditions import (
     CAMERAS,
     CONDITIONS,
@@ -24,7 +26,7 @@ from missions.trials.pose.corners.conditions import (
 from missions.trials.pose.corners.methods import ENLARGED, METHODS, OPENCV, TITLES
 from missions.trials.pose.corners.pictures import Scores, draw_errors, draw_strip
 from missions.trials.pose.corners.score import Score, score
-from missions.trials.pose.corners.shots import OFF_M, OFF_RAD, CornerSeries, CornerShot, shoot
+from missions.trials.pose.corners.shots import OFF_M, OFF_RAD, CornerShot, shoot
 from missions.trials.shared.trial import (
     TrialFinding,
     TrialPicture,
@@ -97,7 +99,8 @@ def _shots(request: TrialRequest, cameras: Sequence[str]) -> list[CornerShot]:
     renderer = request.part("renderer")
     T_b_v = request.rig.sender.mount.T_b_v
     pieces = [
-        CornerSeries(
+        partial(
+            shoot,
             renderer,
             T_b_v,
             camera,
@@ -110,7 +113,7 @@ def _shots(request: TrialRequest, cameras: Sequence[str]) -> list[CornerShot]:
         for condition in CONDITIONS
         for first in range(0, len(views), VIEWS_A_PIECE)
     ]
-    return [sample for piece in request.work.map("views", shoot, pieces) for sample in piece]
+    return [sample for piece in request.work.map("views", call, pieces) for sample in piece]
 
 
 def _summary(scores: Scores, camera: str) -> dict[str, dict[str, Any]]:

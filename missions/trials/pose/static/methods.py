@@ -109,8 +109,9 @@ def errors_of(
 
 
 @frozen
-class MethodResult:
-    """Errors of one method in one measurement.
+class Results:
+    """Errors of one method over all measurements: each (sessions, stands), NaN where it gave no
+    pose.
 
     Attributes:
         d2_m: of D2's camera in ``v``.
@@ -121,82 +122,65 @@ class MethodResult:
             NaN without one.
     """
 
-    d2_m: float
-    rotation_rad: float
-    target_m: float
-    sent_m: float
-    nees: float
-
-
-@frozen
-class Results:
-    """One method over all measurements: each (sessions, stands), NaN where it gave no pose."""
-
     d2_m: Array
     rotation_rad: Array
     target_m: Array
     sent_m: Array
     nees: Array
 
-
-@frozen
-class Judging:
-    """A method, on some sightings, under some errors; ``sessions`` are those of each session."""
-
-    sightings: Sequence[StaticMeasurement]
-    mounts: Mounts
-    sessions: Sequence[DrawnErrors]
-    seed: int
-    method: Method
-    on: tuple[Error, ...] = ALL
+    @classmethod
+    def of(cls, sessions: int) -> Results:
+        """Return results of so many sessions in which there is nothing yet."""
+        return cls(*np.full((5, sessions, len(STANDS)), np.nan))
 
 
-def measure(judging: Judging) -> Results:
-    """A piece of work."""
-    sessions = 1 + max(sighting.session for sighting in judging.sightings)
-    table = np.full((5, sessions, len(STANDS)), np.nan)
-    for sighting in judging.sightings:
-        frame = judging.seed, sighting.configuration, sighting.session
-        errors = errors_of(judging.sessions[sighting.session], judging.mounts, frame, judging.on)
-        outcome = judge(sighting, judging.mounts, judging.method, errors)
-        table[:, sighting.session, sighting.configuration] = (
-            outcome.d2_m, outcome.rotation_rad, outcome.target_m, outcome.sent_m, outcome.nees,
-        )  # fmt: skip
-    return Results(*table)
+def measure(
+    sightings: Sequence[StaticMeasurement],
+    mounts: Mounts,
+    sessions: Sequence[DrawnErrors],
+    seed: int,
+    method: Method,
+    on: tuple[Error, ...] = ALL,
+) -> Results:
+    """Try a method on some sightings, under some errors; ``sessions`` are those of each session."""
+    results = Results.of(1 + max(sighting.session for sighting in sightings))
+    for sighting in sightings:
+        frame = seed, sighting.configuration, sighting.session
+        errors = errors_of(sessions[sighting.session], mounts, frame, on)
+        judge(results, sighting, mounts, method, errors)
+    return results
 
 
 def judge(
+    results: Results,
     sighting: StaticMeasurement,
     mounts: Mounts,
     method: Method,
     errors: MethodErrors,
-) -> MethodResult:
-    """One method on one sighting, told what its session believes."""
+) -> None:
+    """Put one method's errors on one sighting into its results, told what its session believes."""
+    at = sighting.session, sighting.configuration
     truth = sighting.T_c2_v
     found = sighting.markers[CORNERS[method]]
     sent_v = sent_point(sighting, errors)
     true_v = _true_point(sighting, mounts)
-    sent_m = (
-        math.nan if sent_v is None or true_v is None else float(np.linalg.norm(sent_v - true_v))
-    )
-    refused = MethodResult(math.nan, math.nan, math.nan, sent_m, math.nan)
+    if sent_v is not None and true_v is not None:
+        results.sent_m[at] = np.linalg.norm(sent_v - true_v)
     if found is None:
-        return refused
-    nees = math.nan
+        return
     if method == "ippe":
         pose = first_ippe(found, errors.layout, errors.cameras[Role.RECEIVER])
     else:
         estimate = estimated(sighting, method, errors, found)
         if estimate is None:
-            return refused
+            return
         pose = estimate.T_c_v
         e = np.concatenate([pose.t - truth.t, rotation.log(pose.R @ truth.R.T)])
-        nees = float(e @ np.linalg.solve(estimate.covariance, e))
-    target_m = math.nan
+        results.nees[at] = e @ np.linalg.solve(estimate.covariance, e)
     if sent_v is not None and true_v is not None:
-        target_m = float(np.linalg.norm(pose.apply(sent_v) - truth.apply(true_v)))
-    d2_m = float(np.linalg.norm(pose.inverse().t - truth.inverse().t))
-    return MethodResult(d2_m, rotation.angle_between(pose.R, truth.R), target_m, sent_m, nees)
+        results.target_m[at] = np.linalg.norm(pose.apply(sent_v) - truth.apply(true_v))
+    results.d2_m[at] = np.linalg.norm(pose.inverse().t - truth.inverse().t)
+    results.rotation_rad[at] = rotation.angle_between(pose.R, truth.R)
 
 
 def _true_point(sighting: StaticMeasurement, mounts: Mounts) -> Vector | None:

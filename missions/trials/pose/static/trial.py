@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,11 @@ import numpy as np
 from flight.harness.errors import TrialErrors
 from flight.harness.measured import MEASURED
 from flight.harness.renderer import REALISTIC, REALISTIC_VIDEO, Imaging
+from missions.ground.work import call
 from missions.trials.pose.static.methods import (
     ALL,
     METHODS,
     Error,
-    Judging,
     Method,
     Results,
     errors_of,
@@ -180,14 +181,15 @@ def _judge(
     count = 1 + max(each.session for shots in sightings.values() for each in shots)
     table = _table(request)
     drawn = [table.session(session_seed(request.seed, session)) for session in range(count)]
-    items = [
-        Judging(sightings[name], mounts, drawn, request.seed, method) for name, method in names
+    pieces = [
+        partial(measure, sightings[name], mounts, drawn, request.seed, method)
+        for name, method in names
     ]
-    items += [
-        Judging(sightings[HEADLINE], mounts, drawn, request.seed, DEFAULT, on)
+    pieces += [
+        partial(measure, sightings[HEADLINE], mounts, drawn, request.seed, DEFAULT, on)
         for _, _, on in BREAKDOWN
     ]
-    done = request.work.map("methods", measure, items)
+    done = request.work.map("methods", call, pieces)
     results: dict[str, dict[Method, Results]] = {name: {} for name in sightings}
     for (name, method), result in zip(names, done, strict=False):
         results[name][method] = result

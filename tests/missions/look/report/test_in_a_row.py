@@ -37,7 +37,7 @@ def run_of(pairs: dict[int, Any], own_misses: tuple[int, ...] = ()) -> RunRecord
 def row_of(*args: Any) -> tuple[int, Any, bool]:
     row = longest_row(run_of(*args))
     assert row is not None
-    return row.pairs, pytest.approx(row.seconds), row.complete
+    return row["pairs"], pytest.approx(row["seconds"]), row["complete"]
 
 
 STEADY = {20 * k: "a" for k in range(12)}

@@ -16,11 +16,12 @@ import pytest
 from drivers.interfaces import PartError
 from hil.render.renderer import Renderer
 from missions.ground.options.proofs import TrialOptions
+from missions.trials.pose.corners.methods import FoundMarker
 from missions.trials.real.board import look_at_set, see_board
-from missions.trials.real.corners import METHODS, FoundMarker, corners_by
+from missions.trials.real.corners import METHODS, corners_by
 from missions.trials.real.errors import measure_set
 from missions.trials.real.poses import as_stated, estimate_all, plate_tasks, single_tasks
-from missions.trials.real.score import SetScore, SetTask, score_set
+from missions.trials.real.score import SetScore, score_set
 from missions.trials.real.set import read_set
 from missions.trials.real.shutter import held_still
 from missions.trials.run import run
@@ -61,7 +62,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def score(file: Path) -> SetScore:
-    return score_set(SetTask(file, None, 0, False))
+    return score_set(file, None, 0, False)
 
 
 def test_rendered_corners_and_poses_are_as_good_as_the_renderer(score: SetScore) -> None:
@@ -304,7 +305,7 @@ def test_what_was_measured_stands_when_no_twin_can_be_drawn(
 
     monkeypatch.setattr("missions.trials.real.score.render_twin", cannot)
     renderer: Any = Renderer  # never made: the twin fails before
-    found = score_set(SetTask(file, None, 1, True, renderer, tmp_path))
+    found = score_set(file, None, 1, True, renderer, tmp_path)
     assert found.twin is None
     assert "no common cell" in found.untwinned
     assert found.corners["photometric"].found > 0
@@ -341,7 +342,7 @@ def test_the_shared_photographs_are_measured_where_they_are() -> None:
     if not SHARED.is_dir():
         assert all(path.suffix == ".toml" for path in SETS.iterdir())
         return
-    score = score_set(SetTask(SETS / "grid_board.toml", SHARED, 0, False))
+    score = score_set(SETS / "grid_board.toml", SHARED, 0, False)
     assert score.markers == 35
     assert score.corners["photometric"].robust_px.value < score.corners["apriltag"].robust_px.value
     assert score.poses["single"].flips == 0

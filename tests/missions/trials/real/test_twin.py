@@ -17,9 +17,10 @@ from flight.harness.renderer import Imaging, PlacedBoard, RenderedInstant, Rende
 from hil.camera.pictures import CameraRenderer
 from missions.ground.options.proofs import TrialOptions
 from missions.trials.pose.calibration.views import HERE, T_W_C, grey
+from missions.trials.pose.corners.methods import FoundMarker
 from missions.trials.real.board import SetSeen, look_at_set
 from missions.trials.real.cells import inner_edges
-from missions.trials.real.corners import FoundMarker, by_photometry, starts
+from missions.trials.real.corners import by_photometry, starts
 from missions.trials.real.errors import MethodPoses, SeenMarker
 from missions.trials.real.paper import InkMoves, Print, as_seen
 from missions.trials.real.response import (

@@ -13,7 +13,7 @@ from missions.ground.work import open_work
 from missions.trials.cost.compute import trial as compute
 from missions.trials.cost.compute.film import PERIOD_NS, Film, camera_of, shoot_film
 from missions.trials.cost.compute.path import GEOMETRY, SUMS, PathPair
-from missions.trials.cost.compute.rounds import Timings, one_thread
+from missions.trials.cost.compute.rounds import one_thread
 from missions.trials.cost.compute.stopwatch import Stopwatch
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from path.messages import Role
@@ -127,9 +127,9 @@ def test_the_stopwatch_times_work_and_takes_off_its_own_time() -> None:
 
 def test_ratios_compare_medians_of_blocks() -> None:
     ours, theirs = np.full((6, 5), 2.0), np.full((6, 3), 50.0)
-    timing = Timings(
-        {"path": ours, "geometry": ours / 2.0, "geometry_alone": ours / 4.0, "orb_whole": theirs}
-    )
+    timing = {
+        "path": ours, "geometry": ours / 2.0, "geometry_alone": ours / 4.0, "orb_whole": theirs,
+    }  # fmt: skip
     ratios = compute._ratios(timing, np.random.default_rng(1))
     assert {name: ratio["ratio"] for name, ratio in ratios.items()} == {
         "geometry_alone_vs_orb_whole": 100.0, "geometry_vs_orb_whole": 50.0, "path_vs_orb_whole": 25.0,

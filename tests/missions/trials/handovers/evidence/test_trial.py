@@ -18,7 +18,7 @@ from missions.trials.handovers.evidence.blocks import (
     judge,
 )
 from missions.trials.handovers.evidence.trial import FORCED_WAYS, QUICK, SIDE_M, rate, reach_m, run
-from missions.trials.handovers.judging import Batch, Verdict
+from missions.trials.handovers.judging import Verdict, judge_all
 from missions.trials.shared.trial import TrialRequest, TrialResult
 from path.config import MethodConfig
 from path.gate.evidence import EvidenceGate
@@ -121,8 +121,9 @@ def test_correlation_of_a_slow_wave_and_of_too_little() -> None:
 
 
 def test_the_same_attempt_runs_the_same() -> None:
-    batch = Batch(rig_library.load("sim-rendered"), judge, [Attempt(5, 1, limit_s=2.5)])
-    (first,), (again,) = batch.run(), batch.run()
+    rig = rig_library.load("sim-rendered")
+    asked = [Attempt(5, 1, limit_s=2.5)]
+    (first,), (again,) = judge_all(rig, judge, asked), judge_all(rig, judge, asked)
     assert (first.strength, first.blocks, first.count) == (
         again.strength,
         again.blocks,

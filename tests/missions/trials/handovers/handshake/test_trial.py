@@ -32,8 +32,8 @@ from missions.trials.handovers.handshake.attempts import (
     reasons,
     wrong_by_fault,
 )
-from missions.trials.handovers.handshake.missions import FAULTS, agreement_s, fly, orders
-from missions.trials.handovers.judging import GATES, Batch, Verdict, batches, verdict_of
+from missions.trials.handovers.handshake.missions import FAULTS, agreement_s, orders
+from missions.trials.handovers.judging import GATES, Verdict, batches, judge_all, verdict_of
 from missions.trials.shared import flown
 from missions.trials.shared.trial import TrialRequest, TrialResult, trial_part
 from path.gate.evidence import make_gate
@@ -92,7 +92,7 @@ def test_look_alikes_that_came_near_are_counted(result: TrialResult) -> None:
 
 def test_attempts_are_all_run_once_with_every_fault_equally_often() -> None:
     attempts = [attempt_of(1, index) for index in range(154)]
-    asked = [attempt for batch in batches(RIG, judge, attempts, 70) for attempt in batch.asked]
+    asked = [attempt for batch in batches(RIG, judge, attempts, 70) for attempt in batch.args[2]]
     assert asked == attempts
     names = [attempt.fault for attempt in asked]
     assert {names.count(name) for name in FAULT_NAMES} == {len(asked) // len(FAULT_NAMES)}
@@ -101,7 +101,7 @@ def test_attempts_are_all_run_once_with_every_fault_equally_often() -> None:
 def test_what_an_attempt_came_to_is_what_both_gates_say_of_all_of_it() -> None:
     """Run only as far as needed, with the same verdicts as told the whole of it."""
     indices = (1, 3, 10)
-    for tried in Batch(RIG, judge, [attempt_of(5, index) for index in indices]).run():
+    for tried in judge_all(RIG, judge, [attempt_of(5, index) for index in indices]):
         series = runner().run(replace(attempt_of(5, tried.index), whole=True)).series
         for gate in GATES:
             judged = tried.by(gate)
@@ -146,13 +146,10 @@ def test_a_wrong_hand_over_is_seen_and_counted() -> None:
 
 def test_missions_are_all_different_and_two_gates_fly_the_same_ones() -> None:
     paper, evidence = (orders(25, 3, gate, Path("out")) for gate in GATES)
-    assert (
-        len({each.seed for each in paper})
-        == len({each.folder for each in paper + evidence}) / 2
-        == 25
-    )
-    assert [each.seed for each in paper] == [each.seed for each in evidence]
-    assert {each.faults for each in paper} == set(FAULTS)
+    seeds, faults, _, _, _ = zip(*(each.args for each in paper), strict=True)
+    assert len(set(seeds)) == len({each.args[3] for each in paper + evidence}) / 2 == 25
+    assert [each.args[0] for each in evidence] == list(seeds)
+    assert set(faults) == set(FAULTS)
 
 
 def test_time_to_hand_off_runs_from_the_first_agreeing_pair(make_run: object) -> None:
@@ -180,5 +177,5 @@ def test_the_errors_that_are_asked_for_reach_the_missions_too(
     for errors in (exact, None):
         (order,) = orders(1, 3, "evidence", tmp_path, errors)
         with pytest.raises(KeyboardInterrupt):
-            fly(order)
+            order()
     assert levels == [exact, rig_library.load("sim").world.get("errors")]

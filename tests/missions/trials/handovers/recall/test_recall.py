@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from flight.harness.montecarlo import MISS, PAIR, Series, StatedIdentity, Telling, tell
 from missions.ground import rig_library
 from missions.ground.work import open_work
-from missions.trials.handovers.judging import GATES, Batch, Verdict
+from missions.trials.handovers.judging import GATES, Verdict, judge_all
 from missions.trials.handovers.recall import trial
 from missions.trials.handovers.recall.attempts import (
     ALL_GATES,
@@ -251,7 +251,7 @@ def test_one_box_around_two_objects_is_handed_over_only_where_no_size_is_stated(
         rig = replace(
             rig, method=replace(rig.method, evidence=replace(rig.method.evidence, span_m=0.0))
         )
-    (told,) = Batch(rig, judge, [order]).run()
+    (told,) = judge_all(rig, judge, [order])
     assert told.count is not None and not told.count.committed
     assert told.evidence.wrong == (not stated)
     assert told.evidence.committed == (not stated)

@@ -25,7 +25,7 @@ from path.geometry.transforms import Pose
 
 
 def test_a_curled_board_gives_a_camera_within_its_stated_errors() -> None:
-    end = calibrate_kind((CameraRenderer, "ChArUco 640x480, 17 views", 0))
+    end = calibrate_kind(CameraRenderer, "ChArUco 640x480, 17 views", 0)
     assert end.grade == "good"
     assert end.expected and end.within
     assert end.focal[0] < 0.0015

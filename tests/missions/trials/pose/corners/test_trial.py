@@ -13,10 +13,18 @@ import pytest
 from hil.camera.pictures import CameraRenderer
 from missions.ground import rig_library
 from missions.ground.work import open_work
-from missions.trials.pose.corners.conditions import CAMERAS, CONDITIONS, QUICK_MAIN, RANGE_M, view
-from missions.trials.pose.corners.methods import METHODS, OPENCV, Found
+from missions.trials.pose.corners.conditions import (
+    CAMERAS,
+    CONDITIONS,
+    QUICK_MAIN,
+    RANGE_M,
+    corners_px,
+    marker_in,
+    view,
+)
+from missions.trials.pose.corners.methods import METHODS, OPENCV, FoundMarker
 from missions.trials.pose.corners.score import score
-from missions.trials.pose.corners.shots import CornerSeries, CornerShot, shoot
+from missions.trials.pose.corners.shots import CornerShot, shoot
 from missions.trials.pose.corners.trial import ERRORS, STRIP, run
 from missions.trials.shared.trial import TrialRequest, TrialResult
 
@@ -78,9 +86,9 @@ def test_views_are_within_what_they_say_and_the_same_for_every_camera() -> None:
     for number in range(60):
         for name, camera in CAMERAS.items():
             seen = view(0, number, camera, T_B_V)
-            T_c_v = seen.T_w_c.inverse() @ seen.T_w_b1 @ T_B_V
+            T_c_v = marker_in(seen, T_B_V)
             assert np.abs(T_c_v.R @ T_c_v.R.T - np.eye(3)).max() < 1e-12
-            corners = seen.corners_px(camera, T_B_V)
+            corners = corners_px(T_c_v, camera)
             assert np.all(
                 (corners > 20.0) & (corners < np.array([camera.width, camera.height]) - 20.0)
             )
@@ -98,9 +106,7 @@ def test_no_method_is_off_by_a_convention() -> None:
     0.125 px.
     """
     camera = QUICK_MAIN
-    samples = shoot(
-        CornerSeries(CameraRenderer, T_B_V, camera, "ideal", 1, tuple(range(6)), shown=-1)
-    )
+    samples = shoot(CameraRenderer, T_B_V, camera, "ideal", 1, range(6), shown=-1)
     for method in METHODS:
         errors = [
             found.corners_px - s.true_px for s in samples if (found := s.found[method]) is not None
@@ -111,8 +117,8 @@ def test_no_method_is_off_by_a_convention() -> None:
 
 
 def test_the_same_shots_come_from_any_split_of_the_views() -> None:
-    whole = shoot(CornerSeries(CameraRenderer, T_B_V, QUICK_MAIN, "realistic", 2, (0, 1), shown=1))
-    part = shoot(CornerSeries(CameraRenderer, T_B_V, QUICK_MAIN, "realistic", 2, (1,), shown=1))
+    whole = shoot(CameraRenderer, T_B_V, QUICK_MAIN, "realistic", 2, (0, 1), shown=1)
+    part = shoot(CameraRenderer, T_B_V, QUICK_MAIN, "realistic", 2, (1,), shown=1)
     assert whole[0].picture is None
     assert whole[1].picture is not None and part[0].picture is not None
     assert np.array_equal(whole[1].picture, part[0].picture)
@@ -126,7 +132,7 @@ def made_up(sigma_px: float, stated_px: float, radial_px: float, views: int) -> 
     true_px = np.array([[100.0, 100.0], [140.0, 100.0], [140.0, 140.0], [100.0, 140.0]])
     out = (true_px - 120.0) / np.hypot(20.0, 20.0)
     return [
-        CornerShot("", "", k, true_px, {"m": None if k % 4 == 3 else Found(
+        CornerShot("", "", k, true_px, {"m": None if k % 4 == 3 else FoundMarker(
             true_px + radial_px * out + rng.normal(0.0, sigma_px, (4, 2)), stated_px**2 * np.eye(8))})
         for k in range(views)
     ]  # fmt: skip

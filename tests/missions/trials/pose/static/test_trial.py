@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from missions.trials.pose.static.methods import (
     ALL,
     METHODS,
     Error,
-    Judging,
     Method,
     MethodErrors,
     Results,
@@ -199,10 +199,22 @@ def test_the_seven_are_different_places_over_the_whole_range():
     assert 2 <= sum(c.facing for c in CONFIGURATIONS) <= 5
 
 
+def judged(
+    sighting: StaticMeasurement, mounts: Mounts, method: Method, errors: MethodErrors
+) -> SimpleNamespace:
+    """Return a method's errors on one sighting alone."""
+    results = Results.of(1)
+    judge(results, replace(sighting, session=0), mounts, method, errors)
+    at = 0, sighting.configuration
+    return SimpleNamespace(
+        **{each.name: getattr(results, each.name)[at] for each in fields(results)}
+    )
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_who_is_told_the_truth_and_sees_without_noise_is_right(method: Method):
     for configuration in range(len(CONFIGURATIONS)):
-        outcome = judge(exact(configuration), MOUNTS, method, RIGHT)
+        outcome = judged(exact(configuration), MOUNTS, method, RIGHT)
         assert max(outcome.d2_m, outcome.target_m, outcome.sent_m, outcome.rotation_rad) < 1e-5
 
 
@@ -210,11 +222,11 @@ def test_who_is_told_the_truth_and_sees_without_noise_is_right(method: Method):
 def test_a_wrong_print_scales_the_distance_and_a_wrong_focal_length_the_depth(method: Method):
     sighting = exact()
     range_m = float(np.linalg.norm(sighting.T_c2_v.t))
-    large = judge(
+    large = judged(
         sighting, MOUNTS, method, replace(RIGHT, layout=single_marker(1.005 * 0.04, 0.0001))
     )
     assert large.d2_m == pytest.approx(0.005 * range_m, rel=0.01)
-    longer = judge(
+    longer = judged(
         sighting,
         MOUNTS,
         method,
@@ -231,11 +243,11 @@ def test_what_is_wrong_on_d1_moves_the_target_and_not_d2():
         (replace(RIGHT, depth=DepthError(1.003, 0.002)), 0.005),
         (replace(RIGHT, narrow=True), 0.1),
     ):
-        outcome = judge(sighting, MOUNTS, "gravity_photometric", errors)
+        outcome = judged(sighting, MOUNTS, "gravity_photometric", errors)
         assert outcome.d2_m < 1e-5
         assert outcome.sent_m == pytest.approx(sent_m, rel=0.02)
         assert outcome.target_m == pytest.approx(sent_m, rel=0.02)
-    turned = judge(
+    turned = judged(
         sighting, MOUNTS, "ippe", replace(RIGHT, mounts=mounted((0.0, math.radians(0.2), 0.0)))
     )
     assert 0.001 < turned.sent_m < 0.0055
@@ -249,7 +261,7 @@ def test_a_wrong_attitude_matters_to_who_uses_gravity_only():
         RIGHT, attitude_rad=np.full((2, 2), math.radians(0.5)) * np.array([[1.0, 1.0], [-1.0, 1.0]])
     )
     for method in METHODS:
-        before, after = (judge(poor, MOUNTS, method, errors) for errors in (RIGHT, tilted))
+        before, after = (judged(poor, MOUNTS, method, errors) for errors in (RIGHT, tilted))
         assert (after.d2_m - before.d2_m > 0.001) == (method in WITH_GRAVITY)
 
 
@@ -328,10 +340,10 @@ def test_what_gives_no_pose_is_counted_and_not_dropped():
     sightings = [nothing, *(exact(k) for k in range(1, 7))]
     sessions = [WORLD.session(1)]
     for method in METHODS:
-        figures = figures_of(measure(Judging(sightings, MOUNTS, sessions, 1, method)), 1).summary()
+        figures = figures_of(measure(sightings, MOUNTS, sessions, 1, method), 1).summary()
         assert figures["refused_rate"] == pytest.approx(1 / 7) and figures["measurements"] == 7
     blind = replace(nothing, target=None)
-    figures = figures_of(measure(Judging([blind], MOUNTS, sessions, 1, "ippe")), 1).summary()
+    figures = figures_of(measure([blind], MOUNTS, sessions, 1, "ippe"), 1).summary()
     assert figures["refused_rate"] == 1.0
     assert figures["d2_mean_m"] is None and figures["flip_rate"] is None
     json.dumps(figures, allow_nan=False)
