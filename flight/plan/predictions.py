@@ -9,16 +9,12 @@ import math
 from drivers.detectors.measured import recall_at
 from drivers.link.wire import PART_WIRE_BYTES
 from flight.common_view import parts_hz
-from flight.plan.checks import (
-    CATCH_UP,
-    Flown,
-    agreement_s,
-    most_wind_mps,
-    nearest_told_apart_m,
-)
 from flight.plan.errors import Predicted, predict
 from flight.plan.facts import Facts
+from flight.plan.flown import Flown
 from flight.plan.geometry import Apparent, apparent
+from flight.plan.room import CATCH_UP, agreement_s, most_wind_mps
+from flight.plan.sight import nearest_told_apart_m
 from flight.rendezvous.viewpoint import Viewpoint
 from path.values import frozen
 

@@ -22,8 +22,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
-from flight.plan.checks import Flown, flown, problems
+from flight.plan.checks import problems
 from flight.plan.facts import facts_of
+from flight.plan.flown import Flown, flown
 from flight.plan.predictions import predictions
 from missions.ground import rig_library
 from missions.ground.rig_library import mission_of

@@ -8,8 +8,8 @@ from typing import TextIO
 
 from drivers.interfaces import PartError
 from flight.command_end import CommandEnd
-from flight.plan.checks import flown
 from flight.plan.facts import facts_of
+from flight.plan.flown import flown
 from missions.field.checklist.page import checklist_page
 from missions.ground import rig_library
 from missions.ground.first_flights import STEPS, FirstFlights

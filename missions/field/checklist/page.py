@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from html import escape
 
 from drivers.rig.parts import Rig
-from flight.plan.checks import Flown
+from flight.plan.flown import Flown
 from missions.field.checklist.drawings import draw_print, draw_side, faces, sizes
 from missions.field.checklist.steps import numbers, radios, sections, switches, words
 

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from drivers.rig.parts import Rig, decode_part
-from flight.plan.checks import Flown, agreement_s, most_wind_mps
+from flight.plan.flown import Flown
+from flight.plan.room import agreement_s, most_wind_mps
 from flight.rendezvous.viewpoint import Viewpoint
 from path.messages import Role
 

@@ -13,10 +13,11 @@ from typing import TextIO
 
 from drivers.interfaces import PartError
 from flight.command_end import CommandEnd
-from flight.plan.checks import Flown, Problem, flown, problems
+from flight.plan.checks import problems
 from flight.plan.complete import derived_of
 from flight.plan.derive import Derived
 from flight.plan.facts import facts_of
+from flight.plan.flown import Flown, Problem, flown
 from flight.plan.predictions import Prediction, predictions
 from missions.ground import rig_library
 from missions.ground.options.field import PlanOptions

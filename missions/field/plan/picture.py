@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-from flight.plan.checks import Flown
 from flight.plan.facts import Eye
+from flight.plan.flown import Flown
 from flight.plan.geometry import Floats
 from missions.look.report.palette import COUNT, DIM, ROLE, tidy
 from path.geometry.transforms import Pose

@@ -14,11 +14,12 @@ from drivers.rig.facts import TargetFacts
 from drivers.rig.parts import Mount, Rig
 from drivers.rig.tables import RigError
 from flight.config import SeparationConfig
-from flight.plan.checks import Flown, flown, problems
+from flight.plan.checks import problems
 from flight.plan.complete import derived_of
 from flight.plan.derive import derive
 from flight.plan.errors import predict, usual_m
 from flight.plan.facts import Eye, Facts, facts_of
+from flight.plan.flown import Flown, flown
 from flight.plan.geometry import Layout, apparent
 from flight.plan.predictions import predictions
 from flight.rendezvous.viewpoint import NoViewpoint
