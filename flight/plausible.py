@@ -40,12 +40,8 @@ def check_plausible(rig: Rig) -> None:
     """
     mission = decode_table(rig.mission, MissionConfig, rig.where("mission"))
     problems = Problems()
-    checks: tuple[Callable[[Rig, MissionConfig], Found], ...] = (
-        _origin, _fence, _heights, _ground, _ranges, _viewpoint, _distances, _waits, _ages, _links,
-    )  # fmt: skip
-    for check in checks:
-        for where, what in check(rig, mission):
-            problems.add(rig.where(where), what)
+    for where, what in implausible(rig, mission):
+        problems.add(rig.where(where), what)
     if rig.relay:
         try:
             relay = decode_table(rig.relay, RelayConfig, rig.where("relay"), rig.file.parent)
@@ -55,6 +51,15 @@ def check_plausible(rig: Rig) -> None:
             for where, what in _relay(relay, mission):
                 problems.add(rig.where(where), what)
     problems.raise_any()
+
+
+def implausible(rig: Rig, mission: MissionConfig) -> Found:
+    """What a pair with this rig cannot fly, whatever its world is."""
+    checks: tuple[Callable[[Rig, MissionConfig], Found], ...] = (
+        _origin, _fence, _heights, _ground, _ranges, _viewpoint, _distances, _waits, _ages, _links,
+    )  # fmt: skip
+    for check in checks:
+        yield from check(rig, mission)
 
 
 def _origin(rig: Rig, mission: MissionConfig) -> Found:

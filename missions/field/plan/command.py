@@ -19,6 +19,7 @@ from flight.plan.derive import Derived
 from flight.plan.facts import facts_of
 from flight.plan.flown import Flown, Problem, flown
 from flight.plan.predictions import Prediction, predictions
+from flight.plausible import implausible
 from missions.ground import rig_library
 from missions.ground.options.field import PlanOptions
 from missions.ground.rig_library import mission_of
@@ -35,7 +36,12 @@ def run(options: PlanOptions, out: TextIO | None = None) -> int:
     of = flown(facts_of(rig, mission), mission)
     derived = derived_of(rig) if rig.target is not None else ()
     expected = predictions(of)
-    wrong = tuple(problems(of))
+    planned = tuple(problems(of))
+    told = {each.where for each in planned}
+    others = tuple(
+        Problem(where, what) for where, what in implausible(rig, mission) if where not in told
+    )
+    wrong = (*planned, *others)
 
     stream.write(f"{rig.name}: {rig.description or 'no description'}\n")
     _write_derived(derived, stream)

@@ -57,6 +57,25 @@ def test_a_rig_that_cannot_be_flown_is_told_with_the_smallest_change(tmp_path: P
     assert "can be borne" in said.getvalue()
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("[sender.mount.camera]\nyaw_deg = 180\n", "does not see the target"),
+        ("[mission.follow]\nheight_m = 6.5\n", "mission.guard.fence_height_m is 6 m"),
+        ("[mission.deadlines]\nland_s = 2\n", "takes 2.2 s at least"),
+    ],
+)
+def test_what_no_flight_would_begin_with_stands_against_the_plan(
+    tmp_path: Path, change: str, said: str
+) -> None:
+    file = tmp_path / "unfit.toml"
+    file.write_text(f'name = "unfit"\nlike = "sim"\nlevel = "sim"\n{change}')
+    shown = io.StringIO()
+    assert run(PlanOptions(rig=str(file)), shown) == CommandEnd.NOT_FIT.exit_code
+    assert said in shown.getvalue()
+    assert "nothing stands against it" not in shown.getvalue()
+
+
 def test_the_plan_is_drawn_and_kept_as_numbers(walker: Path, tmp_path: Path) -> None:
     out = tmp_path / "deep" / "plan"
     run(PlanOptions(rig=str(walker), out=out), io.StringIO())
