@@ -215,6 +215,9 @@ class Deadlines:
     )
     marker_coast_s: Annotated[float, Bounds(0.0, 60.0)] = 1.0
     marker_regain_s: Annotated[float, Bounds(0.0, 60.0)] = 4.0
+    # in verification, after both: D2 holds off at its stand-off, by reported positions that the
+    # marker has set right, and looks for it from there
+    marker_away_s: Annotated[float, Bounds(0.0, 60.0)] = 12.0
     depart_s: Annotated[float, Bounds(0.1, 3600.0)] = 20.0
     land_s: Annotated[float, Bounds(0.1, 3600.0)] = 40.0
 

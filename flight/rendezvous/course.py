@@ -10,7 +10,8 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.interfaces import VehicleState, VelocitySetpoint
-from drivers.rig.parts import Mount
+from drivers.rig.parts import Mount, RoleRig
+from flight.common_view import KEYFRAME_S
 from flight.config import MissionConfig
 from flight.guidance import (
     Answer,
@@ -25,6 +26,7 @@ from flight.guidance import (
     subtract,
     within_fence,
 )
+from flight.rendezvous.common_ground import CommonGround
 from flight.rendezvous.marker_view import MarkerView, levelled
 from flight.rendezvous.viewpoint import (
     Floats,
@@ -38,6 +40,7 @@ from flight.rendezvous.viewpoint import (
 from flight.tilt import Tilt
 from path.camera.model import CameraModel
 from path.geometry.rotation import wrapped, yaw_of
+from path.geometry.transforms import Pose
 from path.marker.layout import MarkerLayout
 from path.messages import Status, Target
 
@@ -54,6 +57,7 @@ _BACK_OFF_MPS = 0.25
 _CLIMB_MPS = 0.4
 _SETTLE_S = 1.5  # where it came in to, before it starts to slide
 _COME_IN_MPS = 0.3
+_SHOWN_S = 1.5 * KEYFRAME_S  # ago, D1 saw what its keyframe shows: while it is sent, and used
 _FINDABLE_PX = 14.0  # of a marker's side: found in nearly every image, at a slant too
 
 
@@ -76,6 +80,7 @@ class Rendezvous:
     Args:
         peer: the sender's newest Status; asked only once there is one.
         now_ns: role clock.
+        shows: the sender, where common views may carry the pose.
     """
 
     def __init__(
@@ -87,9 +92,11 @@ class Rendezvous:
         marker: MarkerView,
         peer: Callable[[], Status],
         now_ns: Callable[[], int],
+        shows: RoleRig | None = None,
     ) -> None:
         self._config = config
         self.fence = config.fence
+        self._shows = shows
         self._camera = camera
         self._mount = mount
         self._side_m = max(marker.side_m for marker in layout.markers)
@@ -124,12 +131,31 @@ class Rendezvous:
         )
         tilt_h = np.array(from_heading(self.tilt.down_n, -self._peer().yaw_rad))
         config = self._config
+        ground = self._ground(R_h_v, scene.body_h_m)
         plan = plan_viewpoint(
-            scene, self._camera, self._mount.T_b_c, config.rendezvous, config.separation, tilt_h
+            scene,
+            self._camera,
+            self._mount.T_b_c,
+            config.rendezvous,
+            config.separation,
+            tilt_h,
+            ground,
         )
         if isinstance(plan, Viewpoint):
             self._viewpoint = plan
         return plan
+
+    def _ground(self, R_h_v: Floats, body_h_m: Floats) -> CommonGround | None:
+        """Return what the sender's keyframes show of the ground: it has flown on since."""
+        if self._shows is None:
+            return None
+        peer = self._peer()
+        T_v_c = self._shows.mount.T_v_c
+        flown_h = from_heading(scale(peer.velocity_n_mps, _SHOWN_S), -peer.yaw_rad)
+        T_h_c = Pose(R_h_v @ T_v_c.R, R_h_v @ T_v_c.t - np.array(flown_h))
+        down_m = float(body_h_m[2]) - peer.position_n_m[2]
+        farthest_m = self._config.rendezvous.max_range_m
+        return CommonGround(self._shows.camera, T_h_c, down_m, farthest_m)
 
     # --- stand-off and search: by the positions both drones report
 
@@ -176,6 +202,11 @@ class Rendezvous:
         up_m = _swing(rendezvous.heights_within_m, _CLIMB * searched_s)
         place = self._within_fence(add(place, from_heading((-back_m, 0.0, -up_m), yaw)))
         return self._by_position(place, state, yaw + turn)
+
+    def hold_off(self, state: VehicleState) -> VelocitySetpoint:
+        """Wait where the marker must be in the middle of the image, and near enough to be found."""
+        place, yaw = self._facing_marker(self._search_from_m())
+        return self._by_position(place, state, yaw)
 
     def note_seen(self, state: VehicleState, marker_n_m: Vec3) -> None:
         """The marker, from the camera: from here on the sender is where this says, and not where it

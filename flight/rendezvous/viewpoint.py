@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight.config import RendezvousConfig, SeparationConfig
+from flight.rendezvous.common_ground import CommonGround
 from flight.tilt import tilted
 from path.arrays import Flags
 from path.camera.model import CameraModel
@@ -27,6 +28,10 @@ _AZIMUTHS_RAD = np.radians(np.arange(-70.0, 71.0, 10.0))
 _ELEVATIONS_RAD = np.radians(np.arange(0.0, 61.0, 7.5))
 _YAW_SHARES = (0.35, 0.5, 0.65)
 _SAME_M = 1e-6
+# Of what both cameras see: with less, common views were found at few places, with more than the
+# second at all.
+LEAST_COMMON = 0.3
+ENOUGH_COMMON = 0.6
 
 
 @frozen
@@ -45,13 +50,17 @@ class ViewpointScene:
 
 @frozen
 class Viewpoint:
-    """A place for D2's camera in ``h``, the yaw relative to D1's heading, and what it gives."""
+    """A place for D2's camera in ``h``, the yaw relative to D1's heading, and what it gives.
+
+    ``common``: share of the ground in both views, where that was asked for.
+    """
 
     camera_h_m: tuple[float, float, float]
     yaw_h_rad: float
     marker_px: float
     incidence_rad: float
     margin_px: float
+    common: float = 1.0
 
 
 @frozen
@@ -75,6 +84,7 @@ def plan_viewpoint(
     rendezvous: RendezvousConfig,
     separation: SeparationConfig,
     tilt_h: Floats | None = None,
+    ground: CommonGround | None = None,
 ) -> Viewpoint | NoViewpoint:
     """The best place for D2's camera among a grid around the marker.
 
@@ -86,7 +96,8 @@ def plan_viewpoint(
     image with margin, D1's body not in front of the target. The best of the rest has the
     largest margin for its marker size. One that is nearer to the marker than
     ``separation.marker_m`` is taken only where there is no other, and then the farthest: two drones
-    swing.
+    swing. With ``ground``, a place where common views do not carry the pose is taken only where
+    there is no other, and then that with the most in common.
     """
     candidates = _candidates(separation)
     distance = np.linalg.norm(candidates, axis=1)
@@ -122,7 +133,7 @@ def plan_viewpoint(
         return NoViewpoint(rejected)
 
     places = candidates[alive]
-    yaw, margin = _look(
+    yaw, margin, R_h_c = _look(
         places,
         scene,
         camera,
@@ -134,6 +145,12 @@ def plan_viewpoint(
     score[margin < rendezvous.image_margin_px] = -np.inf
     most_m = np.max(distance[alive], where=np.isfinite(score).any(axis=1), initial=0.0)
     score[distance[alive] < min(separation.marker_m, most_m) - _SAME_M] = -np.inf
+    common = np.ones_like(score)
+    if ground is not None:
+        common = ground.seen_by(camera, places, R_h_c)
+        score += 0.5 * camera.width * np.minimum(common, ENOUGH_COMMON)
+        most = np.max(common, where=np.isfinite(score), initial=0.0)
+        score[common < min(LEAST_COMMON, most)] = -np.inf
     index, share = np.unravel_index(int(np.argmax(score)), score.shape)
     if not np.isfinite(score[index, share]):
         return NoViewpoint({**rejected, "not both in view": len(places)})
@@ -144,6 +161,7 @@ def plan_viewpoint(
         float(marker_px[alive][index]),
         float(incidence[alive][index]),
         float(margin[index, share]),
+        float(common[index, share]),
     )
 
 
@@ -209,9 +227,9 @@ def _look(
     camera: CameraModel,
     T_b_c: Pose,
     tilt: Floats,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """Yaws between the bearings of marker and target, and the smaller margin (px) of the two, of
-    shape (n, shares).
+    shape (n, shares); and the camera's attitudes with them, (n, shares, 3, 3).
 
     The margin is minus infinity where one of them is behind the camera, or beyond the rim of the
     lens.
@@ -245,4 +263,4 @@ def _look(
     seen = np.all(
         (points_c[..., 2] > 0.1) & (off_axis <= camera.max_radius * points_c[..., 2]), axis=-1
     )
-    return yaw, np.where(seen & np.isfinite(margin), margin, -np.inf)
+    return yaw, np.where(seen & np.isfinite(margin), margin, -np.inf), R_h_c

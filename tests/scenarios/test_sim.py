@@ -195,6 +195,17 @@ def test_a_fault_ends_in_its_outcome_and_the_sender_keeps_the_target(
         assert not last["receiver"]["in_air"]
 
 
+def test_a_marker_that_is_lost_for_ten_seconds_of_the_agreement_costs_time_and_no_hand_over(
+    tmp_path: Path,
+) -> None:
+    flown = fly("sim", tmp_path, 601, "marker_hidden=10@verify+0.5")
+    assert flown.facts.outcome == "committed", flown.facts.detail
+    assert flown.facts.violations == {}
+    assert flown.summary["wrong_handover"] is False
+    assert flown.summary["min_separation_m"] > 1.0
+    assert 11.0 < flown.summary["agreement_s"] < 25.0
+
+
 def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path: Path) -> None:
     """Its pilot stops the motors as the approach begins; it falls, and is told only with a
     heartbeat a second.

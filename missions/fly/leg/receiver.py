@@ -106,6 +106,7 @@ class Receiver:
             self._marker,
             self._peer,
             session.now_ns,
+            rig.sender if rig.method.common_view else None,
         )
         self._newest: Target | None = None
         self._live: Handoff | None = None
@@ -577,11 +578,28 @@ class Receiver:
             if session.phase in _RELATIVE:
                 own = session.vehicle.state
                 self._rendezvous.note_seen(own, relative.marker_n_m)
+        if session.phase is not Phase.VERIFY:
+            return
         unseen_s = self._marker.unseen_s(stamp_ns)
         bearable_s = deadlines.marker_coast_s + deadlines.marker_regain_s
-        is_lost = unseen_s > bearable_s
-        if is_lost and session.phase is Phase.VERIFY:
+        if unseen_s > bearable_s + deadlines.marker_away_s:
             raise MissionEnd(Outcome.MARKER_LOST, f"marker not seen for {unseen_s:.1f} s")
+        if session.pilot.in_control:
+            self._regain(is_lost=unseen_s > bearable_s)
+
+    def _regain(self, is_lost: bool) -> None:
+        """Hold off where the marker must be in view, in verification, and come back once it is
+        found. The evidence stays.
+        """
+        pilot = self._session.pilot
+        rendezvous = self._rendezvous
+        holds_off = pilot.guidance == rendezvous.hold_off
+        if is_lost and not holds_off:
+            self._session.say("the sender's marker is out of sight: holds off and looks for it")
+            pilot.guidance = rendezvous.hold_off
+        elif holds_off and self._marker.found(self._session.now_ns()):
+            self._session.say("the sender's marker is found again")
+            pilot.guidance = rendezvous.to_viewpoint
 
     def _note_found(
         self,

@@ -33,7 +33,8 @@ PEER = Status(
     Role.SENDER, 500_000_000, (3.0, 2.0, -1.5), (0.3, 0.1, 0.0), 0.7, 4, False, False, 0.8
 )
 TARGET = Target(1, 1, 1, 1, 400_000_000, (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 0.01)
-LOST_S = CONFIG.deadlines.marker_coast_s + CONFIG.deadlines.marker_regain_s
+AWAY_S = CONFIG.deadlines.marker_coast_s + CONFIG.deadlines.marker_regain_s
+LOST_S = AWAY_S + CONFIG.deadlines.marker_away_s
 
 
 def with_receiver(rig: Any, main: Callable[[Bench, Any], Coroutine[Any, Any, None]]) -> None:
@@ -269,6 +270,35 @@ def test_a_marker_that_stays_unseen_ends_a_verification_and_nothing_else(
             Outcome.MARKER_LOST,
             f"marker not seen for {LOST_S + 0.1:.1f} s",
         )
+
+    with_receiver(rig, main)
+
+
+def test_a_receiver_that_lost_the_marker_in_verification_holds_off_until_it_is_found_again(
+    rig: Any,
+) -> None:
+    async def main(bench: Bench, receiver: Any) -> None:
+        pilot = bench.session.pilot
+        way = receiver._rendezvous
+        bench.session.phase = Phase.VERIFY
+        pilot.in_control = True
+        pilot.guidance = way.to_viewpoint
+        receiver._marker = marker(None, found=False, unseen_s=AWAY_S)
+        receiver._judge_marker(5)
+        assert pilot.guidance == way.to_viewpoint  # it backs off at first, and sees it again
+        receiver._marker = marker(None, found=False, unseen_s=AWAY_S + 0.1)
+        receiver._judge_marker(6)
+        assert pilot.guidance == way.hold_off
+        receiver._marker = marker((0.0, 3.0, 4.0), found=False)  # seen once
+        receiver._judge_marker(7)
+        assert pilot.guidance == way.hold_off
+        receiver._marker = marker((0.0, 3.0, 4.0))
+        receiver._judge_marker(8)
+        assert pilot.guidance == way.to_viewpoint
+        pilot.in_control = False
+        receiver._marker = marker(None, found=False, unseen_s=AWAY_S + 0.1)
+        receiver._judge_marker(9)
+        assert pilot.guidance == way.to_viewpoint
 
     with_receiver(rig, main)
 
