@@ -339,7 +339,8 @@ def test_the_viewpoint_is_planned_for_the_sender_as_it_leans_and_the_receiver_as
     guide.tilt.down_n = (0.1, 0.0, math.sqrt(0.99))
     answer = guide.plan(Target(1, 1, 1, 0, 0, (0.4, -0.3, 1.1), gravity_v, 0.01))
     assert isinstance(answer, NoViewpoint) and guide._viewpoint is None
-    ((scene, camera, T_b_c, rules, separation, tilt_h),) = asked
+    ((scene, camera, T_b_c, rules, separation, tilt_h, ground),) = asked
+    assert ground is None  # common views are not on
     R_h_v = R_h_b @ mount.T_b_v.R
     assert scene.target_h_m == pytest.approx(R_h_v @ (0.4, -0.3, 1.1))
     assert scene.marker_normal_h == pytest.approx(R_h_v[:, 2])
