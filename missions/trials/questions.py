@@ -67,6 +67,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         short_in_all=True,
     ),
     "wash": Experiment("flights.wash", "sim", short_in_all=True),
+    "obstacles": Experiment("flights.obstacles", "sim", short_in_all=True),
     "ambiguity": Experiment("rivals", options=("xfeat", "method"), without=XFEAT),
     "link": Experiment("cost.link"),
     "compute": Experiment("cost.compute", options=("xfeat",), without=XFEAT),
@@ -75,7 +76,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "pose": ("sensitivity", "static", "corners", "calibration", "real", "common-view"),
     "handovers": ("handshake", "evidence", "recall"),
-    "flights": ("dynamic", "beacon", "wash"),
+    "flights": ("dynamic", "beacon", "wash", "obstacles"),
     "rivals": ("ambiguity",),
     "cost": ("link", "compute", "soak"),
 }

@@ -24,7 +24,7 @@ QuestionName = Literal["pose", "handovers", "flights", "rivals", "cost"]
 ExperimentName = Literal[
     "sensitivity", "static", "corners", "calibration", "real", "common-view",
     "handshake", "evidence", "recall",
-    "dynamic", "beacon", "wash",
+    "dynamic", "beacon", "wash", "obstacles",
     "ambiguity",
     "link", "compute", "soak",
 ]  # fmt: skip
@@ -38,7 +38,7 @@ class TrialOptions:
 
     pose: where D2 and the target are, by single frames (sensitivity, static, corners, calibration,
     real, common-view). handovers: how soon they agree, and whether ever wrongly (handshake, evidence, recall).
-    flights: whole missions (dynamic, beacon). rivals: PATH, ORB and XFeat (ambiguity).
+    flights: whole missions (dynamic, beacon, wash, obstacles). rivals: PATH, ORB and XFeat (ambiguity).
     cost: time, bytes, memory, and what it bears (link, compute, soak).
     """
 
