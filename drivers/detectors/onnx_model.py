@@ -4,6 +4,7 @@ is used.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,10 @@ class Tensor:
 
 
 class OnnxModel:
-    """A network with one input. What it computes with is float32 or float16; here it is float32."""
+    """A network with one input. What it computes with is float32 or float16; here it is float32.
+
+    ``metadata``: what whoever exported it wrote beside it.
+    """
 
     def __init__(
         self,
@@ -84,6 +88,7 @@ class OnnxModel:
         self._session = open_session(file, threads, remedy)
         self.inputs = tuple(_tensor(node) for node in self._session.get_inputs())
         self.outputs = tuple(_tensor(node) for node in self._session.get_outputs())
+        self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
 
     def run(self, tensor: Singles) -> Singles:
         """Return the first output for one input, as float32."""

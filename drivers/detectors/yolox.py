@@ -1,4 +1,4 @@
-"""Detectors of the YOLOX family through onnxruntime. The weights are a file that a rig names; PATH
+"""Detectors of the YOLO family through onnxruntime. The weights are a file that a rig names; PATH
 comes without.
 """
 
@@ -16,8 +16,15 @@ import numpy as np
 from drivers.detectors.coco import COCO
 from drivers.detectors.looks import Input, Window, windows
 from drivers.detectors.onnx_model import OnnxModel
-from drivers.detectors.yolox_boxes import best_boxes, decode, grid, merge, suppress
-from drivers.detectors.yolox_exports import EXPORT, identify
+from drivers.detectors.yolox_boxes import (
+    best_boxes,
+    decode,
+    grid,
+    listed_boxes,
+    merge,
+    suppress,
+)
+from drivers.detectors.yolox_exports import EXPORT, Export, as_rgb, identify
 from drivers.interfaces import PartError
 from drivers.rig.tables import suggestion
 from drivers.text_file import read_file
@@ -109,12 +116,11 @@ class YoloxDetector:
         self._config = config
         file = config.weights()
         self._model = OnnxModel(file, config.threads, EXPORT)
-        export = identify(self._model, file)
-        self._height = export.height
-        self._width = export.width
+        self._export = identify(self._model, file)
+        self._height = self._export.height
+        self._width = self._export.width
         self._cells, self._steps = grid(self._height, self._width)
-        self._decoded = export.decoded
-        self._scored = _scored(config, file, export.classes)
+        self._scored = _scored(config, file, self._export)
         self._power = math.log(BELIEVED) / math.log(config.min_score)
         self._input = Input(
             self._width,
@@ -168,11 +174,7 @@ class YoloxDetector:
         x0, y0, x1, y1 = part
         tensor, across, down = self._letterboxed(image[y0:y1, x0:x1])
         raw = self._model.run(tensor)[0]
-        least = self._config.min_score
-        if self._decoded:
-            boxes, scores, classes = best_boxes(raw, self._scored, least)
-        else:
-            boxes, scores, classes = decode(raw, self._cells, self._steps, self._scored, least)
+        boxes, scores, classes = self._read(raw)
         kept = suppress(boxes, scores, classes, self._config.max_iou)
         zoom = np.array((across, down, across, down), np.float32)
         boxes = boxes[kept] / zoom + np.array((x0, y0, 0.0, 0.0), np.float32)
@@ -186,9 +188,24 @@ class YoloxDetector:
         whole = (inside | at_border).all(axis=1)
         return boxes[whole], scores[kept][whole], classes[kept][whole]
 
+    def _read(self, raw: Singles) -> tuple[Singles, ...]:
+        """Boxes in px of the input, scores and classes, of an output of whichever form."""
+        least = self._config.min_score
+        head = self._export.head
+        if head == "cells":
+            return decode(raw, self._cells, self._steps, self._scored, least)
+        if head == "listed":
+            return listed_boxes(raw, self._scored, least)
+        rows = np.ascontiguousarray(raw.T) if self._export.turned else raw
+        with_objectness = head in ("pixels", "anchors")
+        boxes, scores, classes = best_boxes(rows, self._scored, least, with_objectness)
+        if head == "queries":
+            boxes = boxes * np.array((self._width, self._height) * 2, np.float32)
+        return boxes, scores, classes
+
     def _letterboxed(self, part: Image) -> tuple[Singles, float, float]:
-        """The network's input, (1, 3, h, w) BGR 0..255 with grey right and below; how much larger
-        it is, each way.
+        """The network's input, (1, 3, h, w) with grey right and below; how much larger it is, each
+        way.
         """
         height, width = part.shape[:2]
         scale = min(self._height / height, self._width / width, self._config.max_zoom)
@@ -197,20 +214,24 @@ class YoloxDetector:
         fitted = cv2.resize(part, (w, h), interpolation=cv2.INTER_LINEAR)
         tensor = np.full((1, 3, self._height, self._width), FILL, np.float32)
         tensor[0, :, :h, :w] = fitted.transpose(2, 0, 1)
+        if self._export.rgb:
+            tensor = as_rgb(tensor)
         return tensor, w / width, h / height
 
 
 def _scored(
     config: YoloxDetectorConfig,
     file: Path,
-    count: int,
+    export: Export,
 ) -> Flags:
     """Return which of the model's classes are looked for. Raises PartError."""
-    names = COCO if config.names is None else _read_names(config.names)
+    names = (export.names or COCO) if config.names is None else _read_names(config.names)
+    count = export.classes or len(names)
     if not config.classes:
         return np.ones(count, np.bool_)
     if len(names) != count:
-        source = "COCO has" if config.names is None else f"{config.names} names"
+        usual = "it names itself" if export.names else "COCO has"
+        source = usual if config.names is None else f"{config.names} names"
         other = len(names) == count + 1
         perhaps = (
             " (is it an export without an objectness, as of YOLOv8 or YOLO11?)" if other else ""

@@ -60,30 +60,50 @@ def best_boxes(
     raw: Singles,
     scored: Flags,
     least: float,
+    objectness: bool = True,
 ) -> tuple[Singles, ...]:
     """Boxes that score at least ``least``, of an output in pixels.
 
     Args:
-        raw: (n, 5 + classes): centre and size in px of the input, objectness, classes.
+        raw: (n, 5 + classes): centre and size in px of the input, objectness, classes; without an
+            objectness (n, 4 + classes).
         scored: (classes,), which of them are looked for.
 
     Returns:
         Centre and size (m, 4) as x, y, w, h in px of the input; scores (m,): objectness times the
         best class that is looked for; and that class (m,). What is not finite is left out.
     """
-    keep, scores, best = _best(raw, scored, least)
+    keep, scores, best = _best(raw, scored, least, objectness)
     return _finite(raw[keep, :4], scores, best)
+
+
+def listed_boxes(
+    raw: Singles,
+    scored: Flags,
+    least: float,
+) -> tuple[Singles, ...]:
+    """Likewise of an output that is suppressed already: (n, 6), two corners in px, score, class."""
+    classes = np.clip(raw[:, 5].astype(np.int64), 0, len(scored) - 1)
+    part = raw[(raw[:, 4] >= least) & scored[classes]]
+    part = part[np.argsort(-part[:, 4], kind="stable")][:MOST_KEPT]
+    size = part[:, 2:4] - part[:, :2]
+    boxes = np.concatenate((part[:, :2] + 0.5 * size, size), axis=1)
+    return _finite(boxes, part[:, 4], part[:, 5])
 
 
 def _best(
     raw: Singles,
     scored: Flags,
     least: float,
+    objectness: bool = True,
 ) -> tuple[Whole, Singles, Singles]:
     """Return the rows that score enough, best first, their scores and their classes."""
     classes = np.flatnonzero(scored)
-    best = classes[np.argmax(raw[:, 5:][:, classes], axis=1)]
-    scores = raw[:, 4] * raw[np.arange(len(raw)), 5 + best]
+    first = 5 if objectness else 4
+    best = classes[np.argmax(raw[:, first:][:, classes], axis=1)]
+    scores = raw[np.arange(len(raw)), first + best]
+    if objectness:
+        scores = raw[:, 4] * scores
     keep = np.flatnonzero(scores >= least)
     keep = keep[np.argsort(-scores[keep], kind="stable")][:MOST_KEPT]
     return keep, scores[keep], best[keep].astype(np.float32)

@@ -4,14 +4,19 @@ values.
 An export of YOLOX gives for each cell of its grid the offset of a box's centre from the cell, in
 cells, and the logarithm of its size. With ``--decode_in_inference`` it gives the centre and size in
 pixels instead, in an output of the very same shape: read as the other one, nothing is ever found.
-So the shapes are judged first, and then what the network says to one test picture.
-``drivers.detectors.yolox`` asks; nothing here looks for objects.
+YOLOv5 and YOLOv7 have three such rows a cell, YOLOv8 and YOLO11 none for the objectness, RT-DETR a
+few hundred rows of no cell in shares of the image, and what is exported with suppression inside, or
+needs none, a list. So the shapes are judged first, and then what the network says to one test
+picture. ``drivers.detectors.yolox`` asks; nothing here looks for objects.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ast
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -24,9 +29,9 @@ from path.values import frozen
 
 EXPORT = (
     "export a YOLOX model to ONNX with its authors' tools/export_onnx.py, in float32 and at one size "
-    "(github.com/Megvii-BaseDetection/YOLOX), or one with classes of your own"
+    "(github.com/Megvii-BaseDetection/YOLOX), or one of YOLOv5 to YOLO26 or RT-DETR with Ultralytics' export"
 )
-NO_YOLOX = f"its boxes are not read here: {EXPORT}"
+NO_YOLO = f"its boxes are not read here: {EXPORT}"
 
 FOLLOWS = 0.9  # correlation with the cells' places from which on a number is a place in the image
 # YOLOX-nano: half of its centres are within 0.6 cells of their cell, all within 4.1
@@ -36,44 +41,73 @@ MOST_LOG = 10.0  # a box of e^10 cells would be as large as no image is
 # 1e-4
 LITTLE = 1e-3
 SLACK = 0.01  # of float16, beyond 0..1
+BEYOND = 0.5  # of the image, that a box in shares of it may reach over it
+MOST_LISTED = 1000  # rows of a list; 300 are usual
+OPEN_SIDES = (640, 416)  # tried where an export left its size open and names none
+
+Head = Literal["cells", "pixels", "anchors", "plain", "queries", "listed"]
 
 
 @frozen
-class YoloxExport:
-    """What a network takes and gives. ``decoded``: centre and size in px, not in cells and their
-    logarithm.
+class Export:
+    """What a network takes and gives.
+
+    Attributes:
+        classes: their number; 0 where the output does not tell.
+        head: what a row is. "cells": offset from its cell and logarithm of its size, objectness,
+            classes. "pixels": centre and size in px, objectness, classes; "anchors": three of those
+            a cell. "plain": centre and size in px, classes. "queries": that in shares of the input.
+            "listed": two corners in px, score, class.
+        turned: a row stands in a column.
+        names: of the classes, as the file has them; () where it has none.
     """
 
     height: int
     width: int
     classes: int
-    decoded: bool
+    head: Head
+    turned: bool = False
+    names: tuple[str, ...] = ()
+
+    @property
+    def rgb(self) -> bool:
+        """Whether it takes RGB from 0 to 1, as all but YOLOX do, which takes BGR to 255."""
+        return self.head not in ("cells", "pixels")
 
 
-def identify(model: OnnxModel, file: Path) -> YoloxExport:
+def identify(model: OnnxModel, file: Path) -> Export:
     """Return how a network's output is to be read.
 
     Raises:
-        PartError: it is none of YOLOX, by shape or by what it says to a test picture; with which
-            export it is.
+        PartError: it is none of these, by shape or by what it says to a test picture; with what it
+            probably is.
     """
-    height, width, classes = _by_shape(model, file)
-    try:
-        raw = model.run(test_picture(height, width))[0]
-    except Exception as error:  # onnxruntime's exceptions share no base of their own
-        said = str(error).splitlines()[0]
-        raise PartError(f"{file}: it fails on a test picture: {said}", EXPORT) from error
-    if raw.shape != (len(grid(height, width)[0]), 5 + classes):
-        found = shown(raw.shape)
-        raise PartError(
-            f"{file}: its output is said to be of another shape than it has, {found}", EXPORT
-        )
-    if not np.isfinite(raw).all():
-        raise PartError(
-            f"{file}: its output is not finite on a test picture",
-            f"was it cut to float16? {EXPORT}",
-        )
-    return YoloxExport(height, width, classes, decoded=_is_decoded(raw, height, width, file))
+    _check_one(model, file)
+    names = _names(model.metadata)
+    sizes = _input_sizes(model.inputs[0], model.metadata, file, _found(model))
+    if model.outputs[0].kind not in (FLOAT, HALF):
+        wanted = "expected an output of float32 or float16"
+        raise PartError(f"{file}: {wanted}, {_found(model)}", EXPORT)
+    height, width, raw = _tried(model, sizes, file)
+    _check_said(model.outputs[0].shape, (1, *raw.shape), file)
+    head, turned = _by_shape(raw, height, width, names, f"{file}: {_found(model)}")
+    if head == "cells":
+        head = _by_values(raw, height, width, names, file)
+    else:
+        raw = _answer(model, as_rgb(test_picture(height, width)), file)
+    rows = raw.T if turned else raw
+    if head in ("plain", "anchors"):
+        _check_pixels(rows, height, width, file, head)
+    elif head == "queries":
+        head = _of_few(rows, file)
+    of_class = {"cells": 5, "pixels": 5, "anchors": 5, "plain": 4, "queries": 4}
+    classes = len(names) if head == "listed" else rows.shape[1] - of_class[head]
+    return Export(height, width, classes, head, turned, names)
+
+
+def as_rgb(picture: Singles) -> Singles:
+    """Return a picture (1, 3, h, w) of BGR 0..255 as RGB 0..1."""
+    return np.ascontiguousarray(picture[:, ::-1]) / np.float32(255.0)
 
 
 def test_picture(height: int, width: int) -> Singles:
@@ -104,27 +138,40 @@ def test_picture(height: int, width: int) -> Singles:
 # --- by shape
 
 
-def _by_shape(model: OnnxModel, file: Path) -> tuple[int, int, int]:
-    """Return height and width of the input and the number of classes. Raises PartError."""
-    found = f"found {_told(model.inputs)} -> {_told(model.outputs)}"
+def _found(model: OnnxModel) -> str:
+    return f"found {_told(model.inputs)} -> {_told(model.outputs)}"
+
+
+def _check_one(model: OnnxModel, file: Path) -> None:
+    """Raise PartError for a network of several inputs or outputs."""
     if len(model.inputs) != 1:
-        raise PartError(f"{file}: expected one input, an image, {found}", NO_YOLOX)
-    height, width = _input_size(model.inputs[0], file, found)
+        raise PartError(f"{file}: expected one input, an image, {_found(model)}", NO_YOLO)
     if len(model.outputs) != 1:
         what = _many_outputs(model.outputs)
-        raise PartError(f"{file}: expected one output of boxes, {found}: {what}", NO_YOLOX)
-    output = model.outputs[0]
-    if output.kind not in (FLOAT, HALF):
-        raise PartError(f"{file}: expected an output of float32 or float16, {found}", EXPORT)
-    return height, width, _classes(output.shape, height, width, file, found)
+        raise PartError(f"{file}: expected one output of boxes, {_found(model)}: {what}", NO_YOLO)
 
 
-def _input_size(
+def _names(metadata: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the classes' names that Ultralytics' exports have beside the network; () without."""
+    try:
+        named = ast.literal_eval(metadata.get("names", "{}"))
+    except (ValueError, SyntaxError):
+        return ()
+    if isinstance(named, dict):
+        of: dict[Any, Any] = named  # pyright: ignore[reportUnknownVariableType]
+        return tuple(str(of[key]) for key in sorted(of))
+    return ()
+
+
+def _input_sizes(
     image: Tensor,
+    metadata: Mapping[str, str],
     file: Path,
     found: str,
-) -> tuple[int, int]:
-    """Return height and width. A batch that may be of any size is one of 1. Raises PartError."""
+) -> list[tuple[int, int]]:
+    """Return height and width, several to try where they were left open. A batch that may be of any
+    size is one of 1. Raises PartError.
+    """
     stride = STRIDES[-1]
     expected = f"expected an input of 1x3xHxW, H and W multiples of {stride}, {found}"
     if image.kind not in (FLOAT, HALF):
@@ -146,58 +193,89 @@ def _input_size(
     if channels != 3:
         raise PartError(f"{file}: {expected}", EXPORT)
     if not isinstance(height, int) or not isinstance(width, int):
-        any_size = "height and width were left open when it was exported (dynamic axes)"
-        raise PartError(
-            f"{file}: {expected}: {any_size}", f"export it at the size it was trained for: {EXPORT}"
-        )
+        trained = [int(side) for side in re.findall(r"\d+", metadata.get("imgsz", ""))]
+        sides = trained[:1] or list(OPEN_SIDES)
+        return [(side, trained[1] if len(trained) == 2 else side) for side in sides]
     if height <= 0 or width <= 0 or height % stride or width % stride:
         raise PartError(f"{file}: {expected}", EXPORT)
-    return height, width
+    return [(height, width)]
 
 
-def _classes(
-    shape: Shape,
+def _tried(
+    model: OnnxModel,
+    sizes: Sequence[tuple[int, int]],
+    file: Path,
+) -> tuple[int, int, Singles]:
+    """Return the first size at which a network answers, and what it says. Raises PartError."""
+    for height, width in sizes[:-1]:
+        try:
+            return height, width, _answer(model, test_picture(height, width), file)
+        except PartError:
+            continue
+    height, width = sizes[-1]
+    return height, width, _answer(model, test_picture(height, width), file)
+
+
+def _answer(model: OnnxModel, picture: Singles, file: Path) -> Singles:
+    """Return what a network says to a picture, without the batch. Raises PartError."""
+    try:
+        raw = model.run(picture)
+    except Exception as error:  # onnxruntime's exceptions share no base of their own
+        said = str(error).splitlines()[0]
+        raise PartError(f"{file}: it fails on a test picture: {said}", EXPORT) from error
+    if raw.ndim == 2 and raw.shape[1] in (6, 7):
+        what = f"{_found(model)}: of an export with suppression (NMS) inside, as of YOLOv7"
+        raise PartError(f"{file}: expected rows of boxes, {what}", f"export it without; {NO_YOLO}")
+    if raw.ndim != 3 or len(raw) != 1:
+        raise PartError(f"{file}: expected an output of rows of boxes, {_found(model)}", NO_YOLO)
+    if not np.isfinite(raw).all():
+        raise PartError(
+            f"{file}: its output is not finite on a test picture",
+            f"was it cut to float16? {EXPORT}",
+        )
+    return raw[0]
+
+
+def _check_said(said: Shape, found: tuple[int, ...], file: Path) -> None:
+    """Raise PartError where an output has another shape than it is said to have."""
+    fits = len(said) == len(found) and all(
+        isinstance(side, str) or side == own for side, own in zip(said, found, strict=True)
+    )
+    if not fits:
+        shape = shown(found)
+        raise PartError(
+            f"{file}: its output is said to be of another shape than it has, {shape}", EXPORT
+        )
+
+
+def _by_shape(
+    raw: Singles,
     height: int,
     width: int,
-    file: Path,
-    found: str,
-) -> int:
-    """Return the number of classes of an output of YOLOX. Raises PartError naming what else it
-    is.
+    names: Sequence[str],
+    where: str,
+) -> tuple[Head, bool]:
+    """Return which head it is, and whether rows stand in columns, as far as the shape tells. Raises
+    PartError naming what else it is.
     """
     cells = len(grid(height, width)[0])
-    expected = f"{file}: expected an output of 1x{cells}x(5 + classes), {found}"
-    if len(shape) == 3:
-        rows = shape[1]
-        columns = shape[2]
-        rows_fit = rows == cells or isinstance(rows, str)  # of an export whose axes were left open
-        if rows_fit and isinstance(columns, int) and columns >= 6:
-            return columns - 5
-        if columns == cells and isinstance(rows, int):
-            what = f"as of YOLOv8 or YOLO11: {rows} numbers for each of {cells} places, classes without an objectness"
-            raise PartError(f"{expected}: {what}", NO_YOLOX)
-        if 3 * cells in (rows, columns):
-            raise PartError(
-                f"{expected}: as of YOLOv5 or YOLOv7, with three anchors a cell", NO_YOLOX
-            )
-        with_coarsest = cells + (height // 64) * (width // 64)
-        if with_coarsest in (rows, columns) or 3 * with_coarsest in (rows, columns):
-            raise PartError(
-                f"{expected}: of a model with a fourth level, of stride 64 (P6)", NO_YOLOX
-            )
-        if columns in (6, 7):
-            raise PartError(
-                f"{expected}: {_SUPPRESSED}",
-                f"export it without suppression (NMS) inside; {NO_YOLOX}",
-            )
-    if len(shape) == 2 and shape[1] in (6, 7):
-        raise PartError(
-            f"{expected}: {_SUPPRESSED}", f"export it without suppression (NMS) inside; {NO_YOLOX}"
-        )
-    raise PartError(expected, NO_YOLOX)
-
-
-_SUPPRESSED = "of an export with suppression (NMS) inside, or of YOLOv10 or YOLO26: a list of boxes, scores and classes"
+    rows, columns = raw.shape
+    if rows == cells and columns >= 5:
+        without = columns == 5 or columns - 4 == len(names)
+        return ("plain", False) if without else ("cells", False)
+    if columns == cells and rows >= 5:
+        return "plain", True
+    if rows == 3 * cells and columns >= 6:
+        return "anchors", False
+    with_coarsest = cells + (height // 64) * (width // 64)
+    if with_coarsest in (rows, columns) or 3 * with_coarsest in (rows, columns):
+        raise PartError(f"{where}: of a model with a fourth level, of stride 64 (P6)", NO_YOLO)
+    if rows <= MOST_LISTED and columns >= 5:
+        return "queries", False
+    raise PartError(
+        f"{where}: expected {cells} rows of 5 + classes, or 4 + classes, or 3 x {cells} rows",
+        NO_YOLO,
+    )
 
 
 def _many_outputs(outputs: Sequence[Tensor]) -> str:
@@ -229,46 +307,80 @@ def _told(tensors: Sequence[Tensor]) -> str:
 # --- by values
 
 
-def _is_decoded(
+def _by_values(
     raw: Singles,
     height: int,
     width: int,
+    names: Sequence[str],
     file: Path,
-) -> bool:
-    """Return whether an output (n, 5 + classes) on the test picture has its boxes in pixels. Raises
-    PartError.
+) -> Head:
+    """Return which head an output (n, 5 + classes), or (n, 4 + classes), is. Raises PartError.
 
     In pixels, a box's centre follows its cell from left to right and from top to bottom; in cells
     it does not.
     """
     _check_scores(raw, file)
-    cells, steps = grid(height, width)
-    places = (cells + 0.5) * steps
+    places = _places(height, width, "pixels")
     if not all(_follows(raw[:, axis], places[:, axis]) for axis in (0, 1)):
         if _in_cells(raw):
-            return False
+            return "cells"
         raise PartError(
             f"{file}: its boxes on a test picture are neither in cells nor in pixels of its grid of strides "
             f"{', '.join(map(str, STRIDES))}",
-            NO_YOLOX,
+            NO_YOLO,
         )
-    if _follows(raw[:, 2], places[:, 0]) and _follows(raw[:, 3], places[:, 1]):
+    _check_pixels(raw, height, width, file, "pixels")
+    has_objectness = raw.shape[1] - 5 == len(names) or (
+        float(np.median(raw[:, 5:].max(axis=1))) >= LITTLE
+    )
+    return "pixels" if has_objectness else "plain"
+
+
+def _places(height: int, width: int, head: Head) -> Singles:
+    """Return where in the input each row's cell is, (n, 2) px."""
+    cells, steps = grid(height, width)
+    places = (cells + 0.5) * steps
+    if head != "anchors":
+        return places
+    ends = np.flatnonzero(np.diff(steps[:, 0])) + 1
+    return np.concatenate([np.tile(level, (3, 1)) for level in np.split(places, ends)])
+
+
+def _check_pixels(rows: Singles, height: int, width: int, file: Path, head: Head) -> None:
+    """Raise PartError for boxes that are not centre and size in px of their cells."""
+    _check_scores(rows, file)
+    places = _places(height, width, head)
+    if not all(_follows(rows[:, axis], places[:, axis]) for axis in (0, 1)):
+        raise PartError(
+            f"{file}: its boxes on a test picture do not follow the places of its grid", NO_YOLO
+        )
+    if _follows(rows[:, 2], places[:, 0]) and _follows(rows[:, 3], places[:, 1]):
         raise PartError(f"{file}: its boxes are two corners each, not centre and size", EXPORT)
-    reach = float(np.median(raw[:, 0] / places[:, 0]))
+    reach = float(np.median(rows[:, 0] / places[:, 0]))
     if not 0.5 < reach < 2.0:
         raise PartError(
             f"{file}: its boxes are in fractions of the image, not in its pixels", EXPORT
         )
-    if float(raw[:, 2:4].min()) <= 0.0:
+    if float(rows[:, 2:4].min()) <= 0.0:
         raise PartError(
             f"{file}: on a test picture there are boxes in pixels without a size", EXPORT
         )
-    if float(np.median(raw[:, 5:].max(axis=1))) < LITTLE:
+
+
+def _of_few(rows: Singles, file: Path) -> Head:
+    """Return which of the heads without a grid it is. Raises PartError."""
+    whole = rows.shape[1] == 6 and bool((rows[:, 5] == np.round(rows[:, 5])).all())
+    if whole and bool((rows[:, 2:4] >= rows[:, :2]).all()):
+        _check_scores(rows[:, :5], file)
+        return "listed"
+    if float(rows[:, :4].min()) < -SLACK or float(rows[:, :4].max()) > 1.0 + BEYOND:
         raise PartError(
-            f"{file}: {raw.shape[1]} numbers a place, as of YOLOv8 or YOLO11: classes without an objectness",
-            NO_YOLOX,
+            f"{file}: {len(rows)} rows of {rows.shape[1]} numbers on a test picture are neither a list of boxes, scores"
+            " and classes, nor boxes in shares of the image as of RT-DETR",
+            NO_YOLO,
         )
-    return True
+    _check_scores(rows, file)
+    return "queries"
 
 
 def _check_scores(raw: Singles, file: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -112,13 +112,17 @@ def fixed_network(
     shape: Sequence[int | str] = (1, 3, 256, 256),
     kind: int = FLOAT,
     names: Sequence[str] = ("y",),
+    metadata: Mapping[str, str] | None = None,
 ) -> Path:
     """A network that answers the same to every image: ``output``, by each of its names.
 
-    ``kind``: of input and output.
+    ``kind``: of input and output. ``metadata``: what stands beside the graph.
     """
     nodes = [_node("Identity" if kind == FLOAT else "Cast", ["c"], name, **({} if kind == FLOAT else {"to": kind}))
              for name in names]  # fmt: skip
     outputs = [_value(name, output.shape, kind) for name in names]
-    file.write_bytes(_model(nodes, [_constant("c", output)], [_value("x", shape, kind)], outputs))
+    model = _model(nodes, [_constant("c", output)], [_value("x", shape, kind)], outputs)
+    for key, value in (metadata or {}).items():
+        model += field(14, field(1, key) + field(2, value))
+    file.write_bytes(model)
     return file

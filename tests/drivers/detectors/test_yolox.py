@@ -172,7 +172,7 @@ def test_a_model_that_is_missing_or_of_the_wrong_shape_is_refused_with_expected_
     (tmp_path / "other.onnx").write_bytes(identity_network((1, 3, 416, 416)))
     with pytest.raises(
         PartError,
-        match=r"expected an output of 1x3549x\(5 \+ classes\), found 1x3x416x416 -> 1x3x416",
+        match="expected an output of rows of boxes, found 1x3x416x416 -> 1x3x416",
     ):
         YoloxDetector(config(tmp_path / "other.onnx"))
     (tmp_path / "odd.onnx").write_bytes(identity_network((1, 3, 100, 416)))
