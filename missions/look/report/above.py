@@ -14,7 +14,7 @@ from typing import Any
 from drivers.log.mcap_log import LogRecord
 from missions.look.live.drone import Snapshot
 from missions.look.live.flight_state import TRAIL_NS, FlightState
-from missions.look.report.palette import DIM, FAULT, NEEDED, ROLE
+from missions.look.report.palette import DIM, FAULT, INK, NEEDED, ROLE
 from missions.look.report.records import Records
 from path.messages import Role
 from path.values import frozen
@@ -32,7 +32,8 @@ MOST_RECORDS = 6000  # of one topic of a drone: of hours, every so-manieth
 MOST_PLACES = 500  # of one way
 STEPS_M = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 STEP_PX = 48.0
-COLORS = {role.value: color for role, color in ROLE.items()}
+COLORS = {role.value: color for role, color in ROLE.items()}  # of boxes in images
+INKS = {role.value: color for role, color in INK.items()}  # of the map
 MAPPED = "mapped"
 KINDS = {"target": "target", MAPPED: "D2's box", "marker": "marker"}
 
@@ -158,7 +159,7 @@ def map_of(run: Played) -> Iterator[str]:
     yield from _site(sheet, run.site)
     for name, way in run.ways.items():
         dashes = "4 3" if name == Role.RECEIVER.value else "none"
-        yield _line(sheet.points(way), COLORS.get(name, NEEDED), 1.5, dashes)
+        yield _line(sheet.points(way), INKS.get(name, NEEDED), 1.5, dashes)
     yield _line(sheet.points(run.target), DIM, 1.5, "1 3")
     for k, each in enumerate(run.moments):
         yield f"<g class='m m{k}'>{''.join(_moment(sheet, each.now, run.site))}</g>"
@@ -224,7 +225,7 @@ def _moment(
         if drone["place_m"] is None:
             continue
         x, y = sheet.px(drone["place_m"])
-        color = COLORS.get(drone["name"], NEEDED)
+        color = INKS.get(drone["name"], NEEDED)
         hollow = drone["name"] == Role.RECEIVER.value
         turned = math.degrees(drone["heading_rad"])
         if site is not None and drone["armed"]:
@@ -237,6 +238,7 @@ def _moment(
             drone["short"],
             x - 34 if drone["name"] == Role.SENDER.value else x + 12,
             y + 12,
+            color,
         )
 
 

@@ -10,10 +10,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROLE = {Role.SENDER: "#1f6fb4", Role.RECEIVER: "#c8620a"}
+INK = {Role.SENDER: "#00408f", Role.RECEIVER: "#7a3300"}
+"""Dark enough to be read on white in the sun, and told apart by the colour-blind, as on the live
+page."""
 COUNT = "#7a4fb5"
 NEEDED = "#111111"
-FAULT = "#cc2222"
-DIM = "#777777"
+FAULT = "#8c0000"
+DIM = "#4a4a4a"
 
 MARKER = "#00e5ff"
 OWN_BOX = "#00ff66"

@@ -14,15 +14,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from drivers.log.mcap_log import read_log
 from flight.config import SeparationConfig
 from missions.look.live.gate import LOOPBACK, TOKEN
 from missions.look.live.start import Operated, live
 from tests.free_ports import free_port
+from tests.missions.look.colours import RGB, SEEN_BY, TEN_TIMES_SEEN, contrast, difference, linear
 from tests.missions.look.live import little_flight as flown
 from tests.missions.look.live.browser import CHROMIUM, WHY_NOT, Tab, browser
 from tests.missions.look.live.little_flight import LittleFlight, little_flight
@@ -260,42 +259,12 @@ def test_alarms_stand_in_large_letters_and_sound_until_a_key_turns_that_off(
 
 # --- colours ---
 
-RGB = NDArray[np.float64]
-SEEN_BY = {
-    "protan": ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998)),
-    "deutan": ((0.367322, 0.860646, -0.227968), (0.280085, 0.672501, 0.047413), (-0.011820, 0.042940, 0.968881)),
-    "tritan": ((1.255528, -0.076749, -0.178779), (-0.078411, 0.930809, 0.147602), (0.004733, 0.691367, 0.303900)),
-}  # fmt: skip
-"""Machado, Oliveira and Fernandes 2009, severity 1: linear RGB as the colour-blind see it."""
-
 
 def colours() -> dict[str, RGB]:
     """The page's named colours, as linear RGB."""
     page = files("missions.look.live").joinpath("page.html").read_text()
     named = re.findall(r"--([a-z0-9]+): #([0-9a-f]{6})", page)
     return {name: linear(bytes.fromhex(code)) for name, code in named}
-
-
-def linear(code: bytes) -> RGB:
-    share = np.frombuffer(code, np.uint8) / 255.0
-    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-
-
-def contrast(one: RGB, other: RGB) -> float:
-    """WCAG 2.2's."""
-    weights = np.array([0.2126, 0.7152, 0.0722])
-    light = sorted((float(weights @ one), float(weights @ other)))
-    return (light[1] + 0.05) / (light[0] + 0.05)
-
-
-def lab(rgb: RGB) -> RGB:
-    """CIELAB, D65: there a difference of 2.3 is just seen."""
-    to_xyz = np.array(
-        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    )
-    share = np.clip(to_xyz @ rgb, 0.0, None) / np.array([0.9505, 1.0, 1.089])
-    x, y, z = np.where(share > 0.008856, np.cbrt(share), 7.787 * share + 16.0 / 116.0)
-    return np.array([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)])
 
 
 @pytest.mark.parametrize("name", ["ink", "dim", "d1", "d2", "alarm", "warning", "good"])
@@ -307,6 +276,4 @@ def test_all_that_is_written_has_seven_to_one_on_its_ground(name: str) -> None:
 @pytest.mark.parametrize("who", SEEN_BY)
 def test_the_two_drones_are_told_apart_by_the_colour_blind(who: str) -> None:
     found = colours()
-    as_seen = np.array(SEEN_BY[who])
-    first, second = (np.clip(as_seen @ found[name], 0.0, 1.0) for name in ("d1", "d2"))
-    assert float(np.linalg.norm(lab(first) - lab(second))) > 23.0  # ten times what is just seen
+    assert difference(found["d1"], found["d2"], who) > TEN_TIMES_SEEN

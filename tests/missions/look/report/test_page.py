@@ -16,6 +16,7 @@ from missions.look.report.above import played
 from missions.look.report.advice import advice
 from missions.look.report.command import make_report
 from missions.look.report.records import FACTS, PAGE, by_topic
+from tests.missions.look.colours import SEEN_BY, TEN_TIMES_SEEN, contrast, difference, linear
 from tests.missions.look.live import little_flight as flown
 from tests.missions.look.live.browser import CHROMIUM, WHY_NOT, browser
 from tests.missions.look.live.little_flight import little_flight
@@ -108,6 +109,19 @@ def test_the_map_shows_what_the_live_page_shows_when_each_phase_began(little_pag
     assert len(end.findall("rect")) == 1  # what D1 saw beside it
     assert end.find("g/ellipse") is not None
     assert "Evidence 2.5 of 3.3 needed" in little_page
+
+
+def test_what_is_written_on_the_map_has_seven_to_one_and_its_drones_are_told_apart(
+    little_page: str,
+) -> None:
+    [sheet] = drawn(little_page, "map")
+    written = {text.attrib["fill"]: text.text or "" for text in sheet.iter() if text.tag == "text"}
+    inks = {code: linear(bytes.fromhex(code.removeprefix("#"))) for code in written}
+    assert {"D1", "D2", "target"} <= {*written.values()}
+    assert min(contrast(ink, linear(b"\xff\xff\xff")) for ink in inks.values()) >= 7.0
+    first, second = (inks[code] for code, said in written.items() if said in ("D1", "D2"))
+    for who in SEEN_BY:
+        assert difference(first, second, who) > TEN_TIMES_SEEN
 
 
 def test_an_image_of_a_phase_has_what_was_found_in_its_frame(little_page: str) -> None:
