@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TextIO
 
 from drivers.interfaces import PartError
+from missions.ground.rigs import FOLDER
 
 TEMPLATE = "rig_template.toml"
 KEY_BYTES = 32
@@ -60,6 +61,12 @@ def write_rig(
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", path.stem):
         raise PartError(
             f"--new {asked}: {path.stem!r} is no name for a rig", "use letters, digits, '-' and '_'"
+        )
+    if (FOLDER / f"{path.stem}.toml").exists():
+        # `--rig NAME` would be the other one.
+        raise PartError(
+            f"--new {asked}: a rig that comes with PATH is called {path.stem}",
+            "choose another name",
         )
     if path.exists():
         raise PartError(f"{path} is there already", "name another file; nothing is written over")

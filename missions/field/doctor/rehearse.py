@@ -79,8 +79,8 @@ def _stood_in(name: str, folder: Path) -> Rig:
         return rig_library.load(str(file))
     if rig.level != "sitl":
         raise PartError(
-            f"--rehearse: rig {rig.name} has no parts that could be tested",
-            "name a rig of the field, or one of level sitl",
+            f"--rehearse: rig {rig.name} has no parts that could be tested at level {rig.level}",
+            "add --level sitl, or name a rig that you made for the field",
         )
     return rig
 

@@ -138,3 +138,9 @@ def test_what_is_no_name_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(PartError, match="no name for a rig"):
         rigs(new=str(tmp_path / name))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_name_of_a_rig_that_comes_with_path_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PartError, match="a rig that comes with PATH is called field"):
+        rigs(new=str(tmp_path / "field"))
+    assert list(tmp_path.iterdir()) == []

@@ -39,8 +39,9 @@ def test_a_field_rig_goes_through_all_rows_of_both_roles(
 
 
 def test_what_has_no_parts_of_its_own_is_refused() -> None:
-    with pytest.raises(PartError, match="no parts that could be tested"):
+    with pytest.raises(PartError, match="no parts that could be tested at level sim") as refused:
         list(rehearse.rehearsal("sim", lambda _: None))
+    assert "--level sitl" in refused.value.remedy
     with pytest.raises(PartError, match="both roles"):
         doctor.run(DoctorOptions("sitl", role="sender", rehearse=True), io.StringIO())
 
