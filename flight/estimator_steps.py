@@ -171,10 +171,12 @@ class StepWatch:
             self._headings.clear()
             return None
         self._note_count(before, state)
-        shift_n_m = self._shift(before, state)
+        mean_mps = scale(add(before.velocity_n_mps, state.velocity_n_mps), 0.5)
+        residual_n_m = _residual(before, state, mean_mps)
+        shift_n_m = self._shift(before, state, residual_n_m, norm(mean_mps))
         turn_rad = self._turned(before, state)
         if self._ready:
-            self._note_walk(subtract(self._residual(before, state), shift_n_m), before, state)
+            self._note_walk(subtract(residual_n_m, shift_n_m), before, state)
         if not self._ready or not (any(shift_n_m) or turn_rad):
             return None
         return Step(before.stamp_ns, state.stamp_ns, shift_n_m, turn_rad, self._counted(state))
@@ -195,13 +197,6 @@ class StepWatch:
         """Return whether the autopilot said lately that it reset its estimate."""
         return self._counted_ns is not None and state.stamp_ns - self._counted_ns <= COUNTED_NS
 
-    def _residual(self, before: VehicleState, state: VehicleState) -> Vec3:
-        """What the velocity does not explain of the way between two states."""
-        dt_s = (state.stamp_ns - before.stamp_ns) * 1e-9
-        mean_mps = scale(add(before.velocity_n_mps, state.velocity_n_mps), 0.5)
-        moved_m = subtract(state.position_n_m, before.position_n_m)
-        return subtract(moved_m, scale(mean_mps, dt_s))
-
     def _note_walk(
         self,
         residual_n_m: Vec3,
@@ -218,12 +213,13 @@ class StepWatch:
             walked_n_m = walked_n_m[0], walked_n_m[1], 0.0
         self.walked_n_m = walked_n_m
 
-    def _shift(self, before: VehicleState, state: VehicleState) -> Vec3:
+    def _shift(
+        self, before: VehicleState, state: VehicleState, residual_n_m: Vec3, speed_mps: float
+    ) -> Vec3:
         dt_s = (state.stamp_ns - before.stamp_ns) * 1e-9
-        mean_mps = scale(add(before.velocity_n_mps, state.velocity_n_mps), 0.5)
-        north, east, down = self._residual(before, state)
+        north, east, down = residual_n_m
         explained_m = (
-            0.25 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + norm(mean_mps) * LATE_S
+            0.25 * GRAVITY_MPS2 * dt_s * dt_s + self._fastest_mps * dt_s + speed_mps * LATE_S
         )
         share = COUNTED_SHARE if self._counted(state) else 1.0
         # some vehicles take the ground for their height then
@@ -274,6 +270,13 @@ class StepWatch:
         while len(self._headings) > 2 and stamp_ns - self._headings[0][0] > LATELY_NS:
             self._headings.popleft()
         self._headings.append((stamp_ns, yaw_rad))
+
+
+def _residual(before: VehicleState, state: VehicleState, mean_mps: Vec3) -> Vec3:
+    """What the velocity does not explain of the way between two states."""
+    dt_s = (state.stamp_ns - before.stamp_ns) * 1e-9
+    moved_m = subtract(state.position_n_m, before.position_n_m)
+    return subtract(moved_m, scale(mean_mps, dt_s))
 
 
 def _is_finite(state: VehicleState) -> bool:

@@ -62,6 +62,8 @@ class OwnWalk:
             self._sum_m = [0.0] * len(self._sum_m)
             self._since_s = 0.0
         share = self._share
+        if not share:
+            return (0.0,) * len(residual_m)
         return tuple(share * each for each in residual_m)
 
     @property

@@ -130,7 +130,7 @@ class DroneHarness:
     @property
     def world(self) -> PartWorld:
         """The world at the loop's present."""
-        now_s = present_s()
+        now_s = asyncio.get_running_loop().time()
         if now_s != self._view.time_s:
             self._advance(now_s)
         return self._view

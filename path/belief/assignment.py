@@ -64,7 +64,7 @@ def _groups(weights: Array) -> list[tuple[list[int], list[int]]]:
     if not weights.size:
         return []
     most = np.maximum(weights.max(axis=0), weights.max(axis=1)[:, None])
-    against = weights / np.maximum(most, 1.0)
+    against: list[list[float]] = (weights / np.maximum(most, 1.0)).tolist()
     left = [(list(range(weights.shape[0])), _NEGLIGIBLE)]
     found = list[tuple[list[int], list[int]]]()
     while left:
@@ -78,7 +78,7 @@ def _groups(weights: Array) -> list[tuple[list[int], list[int]]]:
 
 
 def _connected(
-    weights: Array,
+    weights: Sequence[Sequence[float]],
     rows: Sequence[int],
     floor: float,
 ) -> list[tuple[list[int], list[int]]]:
@@ -90,9 +90,9 @@ def _connected(
         edge = {min(open_rows)}
         while edge:
             group |= edge
-            columns |= {int(c) for row in edge for c in np.flatnonzero(weights[row] > floor)}
+            columns |= {c for row in edge for c, each in enumerate(weights[row]) if each > floor}
             edge = {
-                row for row in open_rows - group if any(weights[row, c] > floor for c in columns)
+                row for row in open_rows - group if any(weights[row][c] > floor for c in columns)
             }
         open_rows -= group
         if columns:

@@ -17,10 +17,9 @@ they only keep single wild ones from deciding. Pure.
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from collections.abc import Callable, Sequence
-
-import numpy as np
 
 from path.config import MethodConfig
 from path.geometry.transforms import Matrix, Pose
@@ -117,21 +116,21 @@ class SizeCheck:
             return None
         marker, _, _ = self._newest[-1]
         return marker.side_m * math.exp(
-            float(np.median([log_ratio for _, log_ratio, _ in self._newest]))
+            statistics.median([log_ratio for _, log_ratio, _ in self._newest])
         )
 
     def contradiction(self) -> SizeContradiction | None:
         """Return what the newest looks say against the rig's size; None while they agree with it or
         are too few.
         """
-        depth_m = self.by_depth_m()
+        if len(self._newest) < self._looks:
+            return None
+        off = statistics.median([log_ratio / sigma for _, log_ratio, sigma in self._newest])
+        depth_m = None if abs(off) < CERTAIN_SIGMAS else self.by_depth_m()
         if depth_m is None:
             return None
-        off = float(np.median([log_ratio / sigma for _, log_ratio, sigma in self._newest]))
-        if abs(off) < CERTAIN_SIGMAS:
-            return None
         marker, _, _ = self._newest[-1]
-        sigma = float(np.median([sigma for _, _, sigma in self._newest]))
+        sigma = statistics.median([sigma for _, _, sigma in self._newest])
         return SizeContradiction(marker.id, marker.side_m, depth_m, depth_m * sigma, abs(off))
 
     def _inner_box(self, detection: MarkerDetection) -> Box:
@@ -146,5 +145,7 @@ class SizeCheck:
 
 
 def _side_px(detection: MarkerDetection) -> float:
-    corners = detection.corners_px
-    return float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+    corners: list[list[float]] = detection.corners_px.tolist()
+    following = (*corners[1:], corners[0])
+    sides = (math.dist(a, b) for a, b in zip(corners, following, strict=True))
+    return sum(sides) / len(corners)
