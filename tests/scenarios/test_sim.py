@@ -27,6 +27,7 @@ from path.marker.layout import MarkerLayout
 from path.messages import Role
 from tests.flown import flown_once
 
+NEAR = 987277702  # a seed of which both positions are off towards each other
 LOGS = ("sender.mcap", "receiver.mcap", "world.mcap")
 IMPATIENT = ("[mission.target]", "[mission.deadlines]\nverify_s = 6.0\n\n[mission.target]")
 
@@ -87,7 +88,7 @@ def test_two_seeds_commit_and_break_no_rule_and_one_of_them_again_gives_the_same
     flights = (
         shared(tmp_path_factory, 2),
         fly("sim", tmp_path / "again", 2),
-        fly("sim", tmp_path / "other", 5),
+        shared(tmp_path_factory, NEAR),
     )
     for flown in flights:
         commits_and_breaks_no_rule(flown)
@@ -113,10 +114,10 @@ def commits_and_breaks_no_rule(flown: Flown) -> None:
 
 
 def test_positions_that_put_the_stand_off_too_near_are_found_out_by_the_marker(
-    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     """Both estimates err towards each other: the stand-off they make is 0.7 m from the sender."""
-    flown = fly("sim", tmp_path, 987277702)
+    flown = shared(tmp_path_factory, NEAR)
     assert flown.facts.outcome == "committed", flown.facts.detail
     assert flown.facts.violations == {}
     assert flown.summary["min_separation_m"] > 0.9
