@@ -36,8 +36,8 @@ class CommonGround:
     def seen_by(self, camera: CameraModel, places_h: Array, R_h_c: Array) -> Array:
         """Return the share of both views that is in the other too, shape (n, k).
 
-        In pairs of drawn views over crates, common views were found at 2 of 5 places below 0.3, at
-        9 of 10 from there to 0.4, and at all of 22 above.
+        In pairs of drawn views over crates, common views were found at 4 of 24 places below 0.3, at
+        24 of 28 from there to 0.4, and at all of 90 above.
 
         Args:
             places_h: of D2's camera, (n, 3). ``R_h_c``: its attitudes at each, (n, k, 3, 3).

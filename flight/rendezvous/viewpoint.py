@@ -28,9 +28,9 @@ _AZIMUTHS_RAD = np.radians(np.arange(-70.0, 71.0, 10.0))
 _ELEVATIONS_RAD = np.radians(np.arange(0.0, 61.0, 7.5))
 _YAW_SHARES = (0.35, 0.5, 0.65)
 _SAME_M = 1e-6
-# Of what both cameras see: with less, common views were found at few places, with more than the
-# second at all.
-LEAST_COMMON = 0.3
+# Of what both cameras see: with less not every common view is found (``common_ground``); more than
+# the second betters none.
+LEAST_COMMON = 0.4
 ENOUGH_COMMON = 0.6
 
 

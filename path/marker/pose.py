@@ -28,7 +28,7 @@ from path.geometry.transforms import Pose
 from path.marker.doubt import widen
 from path.marker.kernels import finite, rays, whitening
 from path.marker.layout import Marker, MarkerLayout
-from path.marker.pose_kernels import PoseProblem, facing, fit, of_layout
+from path.marker.pose_kernels import MISFIT, PoseFit, PoseProblem, facing, fit, of_layout
 from path.marker.turned import likely_cause
 from path.messages import Vec3
 from path.observations import MarkerDetection, Missed, MissReason
@@ -45,6 +45,9 @@ WORST_PX = 1.0
 WORST_SHARE = 0.06
 # chi-square per degree of freedom of errors that are all five times as large as was stated
 ABSURD = 25.0
+# the same of errors three times as large: a corner may be off, by dirt on it or by glare
+BAD = 9.0
+LEFT_OUT_PX2 = 1e4  # added to the variance of a corner that is left out
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +155,8 @@ def estimate_pose(
     fitted = fit(starts_R, starts_t, whole)
     if not math.isfinite(fitted.cost):
         return Missed(MissReason.POSE_UNCERTAIN)
+    if whole.weight > 0.0 and fitted.misfit > BAD:
+        whole, fitted = _without_bad_corner(starts_R, starts_t, seen, whole, fitted)
     if whole.weight > 0.0 and fitted.misfit > ABSURD:
         cause = _contradicted(starts_R, starts_t, whole, layout, camera)
         if cause is not None:
@@ -188,6 +193,37 @@ def estimate_pose(
         ambiguity,
         candidates,
     )
+
+
+def _without_bad_corner(
+    starts_R: Array,
+    starts_t: Array,
+    seen: Sequence[tuple[MarkerDetection, Marker]],
+    whole: PoseProblem,
+    fitted: PoseFit,
+) -> tuple[PoseProblem, PoseFit]:
+    """Return the problem without the one corner that is off, and its fit; as they were where no
+    single corner, or more than one, explains that nothing fits.
+
+    Three corners and gravity are two numbers more than a pose has: without the corner that is off
+    they agree, and without any other they do not.
+    """
+    found: list[tuple[float, PoseProblem, PoseFit]] = []
+    for marker, (each, _) in enumerate(seen):
+        for corner in range(4):
+            covariance = np.array(each.covariance_px2, np.float64)
+            for row in (2 * corner, 2 * corner + 1):
+                covariance[row, row] += LEFT_OUT_PX2
+            whiteners = whole.whitening.copy()
+            whitening(covariance, MIN_CORNER_SIGMA_PX**2, whiteners[marker])
+            rest = whole._replace(whitening=whiteners)
+            fit_of_rest = fit(starts_R, starts_t, rest)
+            found.append((fit_of_rest.cost, rest, fit_of_rest))
+    found.sort(key=lambda each: each[0])
+    cost, rest, fit_of_rest = found[0]
+    explains = cost <= MISFIT * (2 * len(whole.points) - 6)
+    alone = found[1][0] - cost > BAD
+    return (rest, fit_of_rest) if explains and alone else (whole, fitted)
 
 
 def _contradicted(
