@@ -144,6 +144,19 @@ class Fence:
         share = way_m / max(leg_m, 1e-9)
         return share * (turn[0] - here[0]), share * (turn[1] - here[1]), straight[2]
 
+    def short_m(self, places_n_m: Array) -> Array:
+        """Return how much each of places (k, 3) is too near to an obstacle or an edge; 0 where
+        there is room.
+        """
+        heights_m = -places_n_m[:, 2]
+        low_m, high_m = float(heights_m.min()), float(heights_m.max())
+        rows = between(rows_of(self.obstacles), low_m, high_m, self.body_m)
+        room_m = level_m(rows, places_n_m[:, :2]).min(axis=1, initial=math.inf)
+        if self.corners_m:
+            edge_m = [self.room_m(north, east) for north, east, _ in places_n_m.tolist()]
+            room_m = np.minimum(room_m, edge_m)
+        return np.maximum(self.body_m - room_m, 0.0)
+
     def hides(self, eye_n_m: Vec3, things_n_m: Array) -> Flags:
         """Return which things (k, 3) an obstacle hides from an eye."""
         return hidden(rows_of(self.obstacles), eye_n_m, things_n_m)

@@ -9,6 +9,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from drivers.interfaces import Received, RecordStore, VehicleState, VelocitySetpoint, View
 from drivers.operator.interfaces import PlaceTold
 from flight.camera_pose import CameraPose
@@ -37,6 +39,7 @@ from flight.guidance import (
     within_fence,
 )
 from flight.keep_out import Body, followed, seen
+from flight.obstacles.side import free_heading
 from flight.outcome import MissionEnd, Outcome
 from flight.phases import Phase
 from flight.tilt import Tilt
@@ -60,6 +63,8 @@ from path.messages import Candidate, Target
 
 _PEER_POLL_S = 0.25
 _ACQUIRED_POLL_S = 0.05
+_SLANT = math.sqrt(0.5)  # level share of the way from D1 to D2, and the share of it upward
+_TURN_RADPS = 0.3  # about the target, among obstacles
 _WIDER = 1.4  # times the distance, to see it again
 
 
@@ -313,6 +318,8 @@ class Sender:
         viewpoint = self._view_of(there, wider)
         way = self._approach(viewpoint, moves, state)
         yaw_rad = look_round.yaw_rad(state.position_n_m, there)
+        if session.fence.obstacles:
+            yaw_rad = bearing(subtract(there, state.position_n_m))
         return replace(way, yaw_rad=yaw_rad)
 
     def _approach(
@@ -383,13 +390,35 @@ class Sender:
         if not self._config.target.flies:
             down = 0.0
         moves = (north, east, down)
+        self._turn_where_there_is_room(target)
         place = self._view_of(target)
         left_m = math.dist(place, state.position_n_m)
         slower_mps = math.dist(state.velocity_n_mps, moves)
         self._look_round.settle(left_m, slower_mps)
         way = self._approach(place, moves, state)
         yaw_rad = self._look_round.yaw_rad(state.position_n_m, target)
+        if session.fence.obstacles:
+            yaw_rad = bearing(subtract(target, state.position_n_m))
         return replace(way, yaw_rad=yaw_rad)
+
+    def _turn_where_there_is_room(self, target_n_m: Vec3) -> None:
+        """Turn the heading to follow with so that obstacles leave room for both drones, and hide
+        nothing.
+        """
+        fence = self._session.fence
+        if not fence.obstacles:
+            return
+        keep = self._config.follow
+        above_m = keep.height_m - self._config.target.height_m
+        aside_m = _SLANT * self._config.separation.viewpoint_m
+        behind = np.array(
+            [
+                (-keep.behind_m, 0.0, -above_m),
+                (-keep.behind_m - aside_m, 0.0, -above_m - aside_m),
+            ]
+        )
+        step_rad = _TURN_RADPS / self._config.control_hz
+        self._heading_rad = free_heading(fence, target_n_m, behind, self._heading_rad, step_rad)
 
     def _leave_watching(self, state: VehicleState) -> VelocitySetpoint:
         """Make room, the camera still on the target: nobody has it for sure until the hand-over is
