@@ -20,6 +20,7 @@ CHECKS: tuple[Callable[[Flown], Problem | None], ...] = (
     sight.behind,
     sight.viewpoint,
     room.site,
+    room.obstacles,
     room.ceiling,
     sight.offset,
     room.wind,

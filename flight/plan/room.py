@@ -55,6 +55,34 @@ def site(of: Flown) -> Problem | None:
     )
 
 
+def obstacles(of: Flown) -> Problem | None:
+    """Check that both drones can climb from their homes, and that the target's place is free."""
+    mission = of.mission
+    fence = mission.fence
+    homes = {
+        "D1": (mission.target.home_m, mission.take_off_height_m),
+        "D2": (mission.rendezvous.home_m, mission.receiver_take_off_height_m),
+    }
+    for name, (home_m, height_m) in homes.items():
+        if not home_m:
+            continue
+        north, east = home_m
+        free = fence.nearest((north, east, -height_m), lowest_m=0.0)
+        short_m = math.dist(free[:2], home_m)
+        if fence.obstacles and short_m > 0.0:
+            return Problem(
+                "site.obstacles",
+                f"{name} would take off too near to one: it keeps {fence.body_m:.1f} m, for its radius,"
+                " drone.hold_m and twice site.position_m",
+                f"a home {short_m:.1f} m farther off would do, at {free[0]:.1f}, {free[1]:.1f}",
+            )
+    target = mission.target
+    place = target.north_m, target.east_m, -target.height_m
+    if any(each.distance_m(place) == 0.0 for each in fence.obstacles):
+        return Problem("site.obstacles", "the target is designated inside one")
+    return None
+
+
 def ceiling(of: Flown) -> Problem | None:
     """Check that both drones have room below the ceiling of a site that has edges."""
     fence = of.mission.fence

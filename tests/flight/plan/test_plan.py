@@ -504,3 +504,32 @@ def test_a_rig_without_a_target_is_allowed_them_too(tmp_path: Path) -> None:
     usual = MethodConfig().evidence
     assert evidence.max_pose_sigma_m > usual.max_pose_sigma_m
     assert evidence.offset_sigma_m > usual.offset_sigma_m
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        ("[-3.0, 2.5]", "D2 would take off too near to one"),
+        ("[0.0, -1.0]", "D1 would take off too near to one"),
+        ("[4.0, 0.1]", "the target is designated inside one"),
+        ("[8.0, 6.0]", ""),
+    ],
+)
+def test_obstacles_leave_room_where_drones_stand_and_at_the_target(
+    rig_of: RigOf, place: str, told: str
+) -> None:
+    rig = rig_of(
+        f"""
+[site]
+position_m = 0.2
+
+[[site.obstacles]]
+place_m = {place}
+size_m = [1.0, 1.0]
+top_m = 2.0
+round = true
+"""
+    )
+    found = [str(each) for each in problems(of(rig)) if each.where == "site.obstacles"]
+    assert (found[0] if found else "").startswith(told)
+    assert bool(found) == bool(told)
