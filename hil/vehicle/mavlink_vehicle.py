@@ -17,52 +17,33 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from drivers.interfaces import FlightMode, VelocitySetpoint
+from drivers.interfaces import FlightMode
 from drivers.link.key import signing_time
 from drivers.mavlink.geodesy import LocalTangent
-from hil.autopilot.autopilot import Ack, Severity
 from hil.vehicle.answers import (
     NOT_FOLLOWED,
     OLDER_REQUESTS,
     STICKS,
     answer,
-    height_above_sea_m,
     is_meant,
-    place_asked,
     sticks_of,
 )
 from hil.vehicle.arrival import Address
 from hil.vehicle.channel import UdpChannel
+from hil.vehicle.commands import ACCEPTED, DENIED, NOT_NOW, Commands, whole
 from hil.vehicle.messages import (
-    AUTO,
-    AUTO_MODES,
     AVAILABLE_MODES,
-    OFFBOARD,
-    PILOT_MODES,
     STREAMS,
     FlightInstant,
     available_modes,
 )
 from hil.vehicle.parameters import Parameters
+from hil.vehicle.setpoints import FRAMES, Setpoints
 from hil.world.world import SimDrone
-from path.geometry.rotation import wrapped, yaw_of
 from path.messages import Vec3
 from path.values import frozen
 
-ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
-DENIED = mavlink.MAV_RESULT_DENIED
-UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
-NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-FORCE_MAGIC = 21196.0
-
-# POSITION_TARGET_TYPEMASK
-IGNORE_POSITION = 0b111
-IGNORE_VELOCITY = 0b111000
-IGNORE_YAW = 1 << 10
-IGNORE_YAW_RATE = 1 << 11
 LARGEST_ID = 0xFFFF  # of a message, in MESSAGE_INTERVAL
-TURN_LEAD_RAD = 0.5  # how far ahead of the nose a rate commands the heading, at most
-TURN_PAUSE_S = 0.5  # after so long without one a rate begins from the heading as it is
 
 
 @frozen
@@ -137,7 +118,8 @@ class MavlinkVehicle:
         self._parameters = Parameters(drone.autopilot)
         self._shown: tuple[FlightMode, bool] | None = None
         self._texts_sent = 0
-        self._turning = 0.0, -math.inf  # heading that a rate has led to, and when
+        self._commands = Commands(self._parameters, tangent)
+        self._setpoints = Setpoints()
         self._refused_s = -math.inf
         beat_hz = drone.autopilot.config.heartbeat_hz
         self._own_beat_s = 1.0 / beat_hz if beat_hz > 0.0 else None
@@ -153,16 +135,6 @@ class MavlinkVehicle:
         self.received: Counter[str] = Counter()
         self.malformed = 0
         self.tap: Callable[[float, Any], None] | None = None
-        self._commands: dict[int, Callable[[FlightInstant, Any], int]] = {
-            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
-            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
-            mavlink.MAV_CMD_NAV_LAND: lambda flight, _: self._request(flight, FlightMode.LAND),
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda flight, _: self._request(
-                flight, FlightMode.RETURN
-            ),
-            mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
-            mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
-        }
 
     @property
     def address(self) -> Address:
@@ -318,55 +290,14 @@ class MavlinkVehicle:
             self._send(channel, said, sender)
 
     def _setpoint(self, flight: FlightInstant, message: Any) -> None:
-        """Velocity, position by a proportional loop, or both, in MAV_FRAME_LOCAL_NED.
-
-        In MAV_FRAME_BODY_NED velocity alone, ahead, right and down of the heading, as PX4 has it.
-        The rest is not followed; of another frame a status text says so.
-        """
-        mask = message.type_mask
+        """Follow a setpoint; of one in a frame that is not followed a status text says so."""
         frame = message.coordinate_frame
-        if frame not in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED):
+        if frame not in FRAMES:
             self._refuse_setpoint(flight, f"SET_POSITION_TARGET_LOCAL_NED frame {frame}")
             return
-        own = frame == mavlink.MAV_FRAME_BODY_NED
-        by_velocity = not mask & IGNORE_VELOCITY
-        by_position = not own and not mask & IGNORE_POSITION
-        if not (by_velocity or by_position):
-            return
-        north, east, down = (message.vx, message.vy, message.vz) if by_velocity else (0.0, 0.0, 0.0)
-        if own:
-            heading = yaw_of(flight.estimate.q_n_b)
-            c = math.cos(heading)
-            s = math.sin(heading)
-            north, east = c * north - s * east, s * north + c * east
-        if by_position:
-            gain_hz, (n, e, d) = flight.autopilot.config.hold_gain_hz, flight.local_n_m
-            north += gain_hz * (message.x - n)
-            east += gain_hz * (message.y - e)
-            down += gain_hz * (message.z - d)
-        if not flight.autopilot.setpoint(
-            flight.now_s, VelocitySetpoint((north, east, down), self._yaw(flight, message))
-        ):
+        wanted = self._setpoints.read(flight, message)
+        if wanted is not None and not flight.autopilot.setpoint(flight.now_s, wanted):
             self.malformed += 1
-
-    def _yaw(self, flight: FlightInstant, message: Any) -> float:
-        """The heading that a setpoint asks for: itself, by a rate from the one before, or as it
-        is.
-        """
-        mask = message.type_mask
-        yaw = yaw_of(flight.estimate.q_n_b)
-        if not mask & IGNORE_YAW:
-            return message.yaw
-        if mask & IGNORE_YAW_RATE or not math.isfinite(message.yaw_rate):
-            return yaw
-        goal, since_s = self._turning
-        passed_s = flight.now_s - since_s
-        ahead = (
-            wrapped(goal + message.yaw_rate * passed_s - yaw) if passed_s < TURN_PAUSE_S else 0.0
-        )
-        goal = yaw + max(-TURN_LEAD_RAD, min(TURN_LEAD_RAD, ahead))
-        self._turning = goal, flight.now_s
-        return goal
 
     def _refuse_setpoint(self, flight: FlightInstant, what: str) -> None:
         """Say once a second that such setpoints are not followed: they have no answer of their
@@ -387,23 +318,21 @@ class MavlinkVehicle:
         command = message.command
         after: int | None = None
         if command == mavlink.MAV_CMD_REQUEST_MESSAGE and message.param1 == AVAILABLE_MODES:
-            modes = available_modes(_whole(message.param2) or 0)
+            modes = available_modes(whole(message.param2) or 0)
             result = ACCEPTED if modes else DENIED
             self._acknowledge(channel, message, command, result, sender)
             for mode in modes:
                 self._send(channel, mode, sender)
             return
         if command == mavlink.MAV_CMD_REQUEST_MESSAGE or command in OLDER_REQUESTS:
-            after = OLDER_REQUESTS.get(command, _whole(message.param1))
+            after = OLDER_REQUESTS.get(command, whole(message.param1))
             result = DENIED if after not in STREAMS else ACCEPTED
         elif command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
             result = self._tell_interval(channel, message, sender)
         elif command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = self._set_interval(flight, channel, message)
-        elif command in self._commands:
-            result = self._commands[command](flight, message)
         else:
-            result = UNSUPPORTED
+            result = self._commands.obey(flight, message)
         if after is not None and result == ACCEPTED and STREAMS[after][0](flight) is None:
             result = NOT_NOW
         self._acknowledge(channel, message, command, result, sender)
@@ -419,8 +348,8 @@ class MavlinkVehicle:
         )
 
     def _set_interval(self, flight: FlightInstant, channel: UdpChannel, message: Any) -> int:
-        which = _whole(message.param1)
-        interval_us = _whole(message.param2)
+        which = whole(message.param1)
+        interval_us = whole(message.param2)
         if which is None or interval_us is None:
             return DENIED
         if which == mavlink.MAVLINK_MSG_ID_HEARTBEAT and self._own_beat_s is not None:
@@ -430,59 +359,12 @@ class MavlinkVehicle:
         )
 
     def _tell_interval(self, channel: UdpChannel, message: Any, sender: Address) -> int:
-        which = _whole(message.param1)
+        which = whole(message.param1)
         if which is None or not 0 <= which <= LARGEST_ID:
             return DENIED
         interval_us = channel.interval_us(which)
         self._send(channel, mavlink.MAVLink_message_interval_message(which, interval_us), sender)
         return ACCEPTED
-
-    def _arm(self, flight: FlightInstant, message: Any) -> int:
-        arm = _whole(message.param1)
-        if arm not in (0, 1):
-            return DENIED
-        return _not_now(
-            flight.autopilot.request_arm(flight.now_s, arm == 1, message.param2 == FORCE_MAGIC)
-        )
-
-    def _take_off(self, flight: FlightInstant, message: Any) -> int:
-        """Take off. Without an altitude the height is MIS_TAKEOFF_ALT over home."""
-        home = flight.autopilot.home_n_m
-        altitude_m = height_above_sea_m(message)
-        if altitude_m is None:
-            return DENIED
-        height_m = self._parameters.take_off_m(flight.now_s)
-        if home is not None and math.isfinite(altitude_m):
-            asked_m = (
-                altitude_m - flight.autopilot.altitude_error_m - self._tangent.to_global(*home)[2]
-            )
-            if asked_m > 0.0:
-                height_m = asked_m
-            else:  # a height above home where PX4 wants one above the sea: it goes as high as usual
-                flight.autopilot.say(
-                    flight.now_s,
-                    Severity.CRITICAL,
-                    f"Using minimum takeoff altitude: {height_m:.2f} m",
-                )
-        return _result(flight.autopilot.request_takeoff(flight.now_s, height_m))
-
-    def _reposition(self, flight: FlightInstant, message: Any) -> int:
-        """Go to a place and hold there, as PX4 does in AUTO.LOITER."""
-        asked = place_asked(message)
-        home = flight.autopilot.home_n_m
-        if asked is None or home is None:
-            return DENIED
-        latitude_deg, longitude_deg, altitude_m, above_home = asked
-        if not all(map(math.isfinite, (latitude_deg, longitude_deg))):
-            return DENIED
-        above_sea_m = altitude_m - flight.autopilot.altitude_error_m
-        if above_home:
-            above_sea_m = altitude_m + self._tangent.to_global(*home)[2]
-        north_m, east_m, down_m = self._tangent.to_ned(latitude_deg, longitude_deg, above_sea_m)
-        if not math.isfinite(altitude_m):
-            down_m = flight.estimate.position_n_m[2]
-        goal = north_m, east_m, down_m
-        return _not_now(flight.autopilot.request_reposition(flight.now_s, goal))
 
     def _set_old_mode(
         self, flight: FlightInstant, message: Any, channel: UdpChannel, sender: Address
@@ -490,31 +372,10 @@ class MavlinkVehicle:
         """SET_MODE, which DO_SET_MODE has followed: PX4 takes it, and answers as if it had been
         that command.
         """
-        result = self._select(
+        result = self._commands.select(
             flight, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF
         )
         self._acknowledge(channel, message, mavlink.MAV_CMD_DO_SET_MODE, result, sender)
-
-    def _set_mode(self, flight: FlightInstant, message: Any) -> int:
-        return self._select(flight, _whole(message.param2), _whole(message.param3))
-
-    def _select(self, flight: FlightInstant, main: int | None, sub: int | None) -> int:
-        if main in PILOT_MODES:
-            return self._request(flight, FlightMode.OTHER, by_pilot=True)
-        if main == OFFBOARD:
-            return self._request(flight, FlightMode.OFFBOARD)
-        if main == AUTO and sub in AUTO_MODES:
-            if AUTO_MODES[sub] is FlightMode.TAKEOFF:
-                return _result(
-                    flight.autopilot.request_takeoff(
-                        flight.now_s, self._parameters.take_off_m(flight.now_s)
-                    )
-                )
-            return self._request(flight, AUTO_MODES[sub])
-        return DENIED
-
-    def _request(self, flight: FlightInstant, mode: FlightMode, by_pilot: bool = False) -> int:
-        return _not_now(flight.autopilot.request_mode(flight.now_s, mode, by_pilot))
 
 
 def _frames(packet: bytes) -> Iterator[bytearray]:
@@ -532,17 +393,3 @@ def _frames(packet: bytes) -> Iterator[bytearray]:
         )
         yield rest[:size]
         rest = rest[size:]
-
-
-def _whole(value: float) -> int | None:
-    """A command parameter that stands for a whole number; None for NaN and infinities."""
-    return int(value) if math.isfinite(value) else None
-
-
-def _result(ack: Ack) -> int:
-    return ACCEPTED if ack.accepted else DENIED
-
-
-def _not_now(ack: Ack) -> int:
-    """Return PX4's answer to what it would do another time: arming, disarming, a mode."""
-    return ACCEPTED if ack.accepted else NOT_NOW

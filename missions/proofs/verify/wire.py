@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from random import Random
@@ -24,7 +25,7 @@ from drivers.clock import busy_ns
 from drivers.link.fields import FROM_WIRE, KINDS, NAMED, TO_WIRE
 from drivers.link.units import OutOfRange
 from drivers.link.wire import KEY_LENGTH, Codec, Drop
-from missions.ground.work import Work
+from missions.ground.work import Work, call
 from missions.look.report.command import show as tell
 from missions.proofs.verify.forger import HASH, HEADER, SIGNATURE, Forger, framed, sign
 from path.messages import Candidate, Message, Ping, Pong, Role, Status, Target
@@ -44,16 +45,6 @@ TRIES = 40  # for a number that means nothing
 SMALL = {"role": 3, "battery": 201, "miss": 19, "reason": 9, "instance": 1 << 24}
 """Fields that few of all numbers mean something in, and how many do."""
 MakeCodec = Callable[[Role, bytes, Callable[[], int]], Codec]
-
-
-@frozen
-class Piece:
-    """Packets to forge in one process. ``make``: of the victim's end."""
-
-    seed: int
-    number: int
-    packets: int
-    make: MakeCodec
 
 
 @frozen
@@ -96,14 +87,16 @@ def hardened(role: Role, key: bytes, stamp: Callable[[], int]) -> Codec:
 
 def fuzz(packets: int, seed: int, work: Work, make: MakeCodec = hardened) -> list[Fuzzed]:
     """Try at least ``packets`` forged packets, towards each role in turn, on all cores."""
-    pieces = [Piece(seed, k, min(CHUNK, packets), make) for k in range(-(-packets // CHUNK))]
-    return work.map("packets forged, in pieces", play, pieces)
+    pieces = [
+        partial(play, seed, k, min(CHUNK, packets), make) for k in range(-(-packets // CHUNK))
+    ]
+    return work.map("packets forged, in pieces", call, pieces)
 
 
-def play(piece: Piece) -> Fuzzed:
-    """One forger against one end of a link."""
-    rng = Random(f"{piece.seed} {piece.number}")
-    exchange = _Exchange(rng, tuple(Role)[piece.number % 2], piece.make)
+def play(seed: int, number: int, packets: int, make: MakeCodec) -> Fuzzed:
+    """Set one forger against one end of a link. ``make``: of the victim's end."""
+    rng = Random(f"{seed} {number}")
+    exchange = _Exchange(rng, tuple(Role)[number % 2], make)
     exchange.begin()
     forged = Counter[str]()
     dropped = Counter[str]()
@@ -111,7 +104,7 @@ def play(piece: Piece) -> Fuzzed:
     failed = 0
     decode_ns = 0
     before = _resident_kib()
-    while forged.total() < piece.packets:
+    while forged.total() < packets:
         burst = [exchange.forger.forge() for _ in range(BURST)]
         results: list[Message | Drop | Exception] = []
         begun = busy_ns()
@@ -131,9 +124,7 @@ def play(piece: Piece) -> Fuzzed:
                 continue
             failed += 1
             if len(failures) < SHOWN:
-                failures.append(
-                    f"seed {piece.seed}, piece {piece.number}, {way}: {data.hex()} -> {result!r}"
-                )
+                failures.append(f"seed {seed}, piece {number}, {way}: {data.hex()} -> {result!r}")
         exchange.go_on()
     return Fuzzed(
         forged, dropped, failed, tuple(failures), exchange.genuine, exchange.lost, exchange.nearly, exchange.believed,

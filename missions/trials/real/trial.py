@@ -15,7 +15,6 @@ from missions.trials.real.results import Figure95, SetScore, TwinScore
 from missions.trials.real.score import KNOWN_GRAVITY, score_set
 from missions.trials.shared.trial import (
     TrialFinding,
-    TrialPicture,
     TrialRequest,
     TrialResult,
     TrialTable,
@@ -96,12 +95,9 @@ def run(request: TrialRequest) -> TrialResult:
             _twin_table(scores),
             _set_table(scores),
         ),
-        pictures=(
-            TrialPicture(
-                PICTURE,
-                "A view of each set and its twin, corners by method, D2's error by what the pose rests on.",
-            ),
-        ),
+        pictures={
+            PICTURE: "A view of each set and its twin, corners by method, D2's error by what the pose rests on.",
+        },
         notes=(
             "The board's pose comes from all its corners; what all views of a marker agree on is the print's, not an "
             "error of its corners. The row of the board's own corners is the floor: what gravity, print, and a board "
@@ -226,7 +222,7 @@ def _corner_table(scores: Sequence[SetScore]) -> TrialTable:
         "Corners against the board, px per axis",
         ("set", "method", "markers", "robust", "across", "markers printed alike", "rms", "stated", "honesty",
          "the board's doubt", "honesty with it"),
-        tuple(rows),
+        rows,
         "Robust: 1.48 times the median size; across: the same in the one direction in the image in which paper that is "
         "not flat moves no corner. Each method measures the print with its own corners, where three views "
         "or more show a marker: a bias that is the same everywhere is not counted, except in the column of markers "
@@ -267,7 +263,7 @@ def _pose_table(scores: Sequence[SetScore]) -> TrialTable:
             "refused",
             "honesty",
         ),
-        tuple(rows),
+        rows,
     )
 
 
@@ -290,7 +286,7 @@ def _twin_table(scores: Sequence[SetScore]) -> TrialTable:
     return TrialTable(
         "Photographs and their rendered twins",
         ("set", "", "photographs", "twin", "twin over photographs"),
-        tuple(rows),
+        rows,
         "A twin is the same board with its ink where the photographs show it, drawn at the same places by the "
         "harness's renderer, with the camera's response as straight edges of the photographs show it: "
         + cameras
@@ -335,7 +331,7 @@ def _set_table(scores: Sequence[SetScore]) -> TrialTable:
         "The sets",
         ("set", "views with the board", "marker, px", "board left, px", "print off, mm", "paper off, mm", "motion, px",
          "fx", "its error", "called wrong"),
-        tuple(rows),
+        rows,
         "Board left: what neither pose nor bend explain of the board's own corners. Print off: by how much the corners "
         "of the markers are off on the print, rms over all of them. Paper off: by how much it leaves its smooth "
         "surface, as what moves corners along its normal more than across tells. Motion: while rows are read, "

@@ -44,7 +44,7 @@ def of_path(judged: FrameResult, owned: Owned) -> Outcome:
     return outcome(judged.present, owned.answer.box is not None, owned.owner == 0)
 
 
-def findings(tallies: Mapping[str, FrameTally]) -> tuple[TrialFinding, ...]:
+def findings(tallies: Mapping[str, FrameTally]) -> Sequence[TrialFinding]:
     found: list[TrialFinding] = []
     for method, counts in tallies.items():
         paper = PAPER.get(method, {})
@@ -77,7 +77,7 @@ def findings(tallies: Mapping[str, FrameTally]) -> tuple[TrialFinding, ...]:
                     "" if reached or not wanted else "by cause in the table of wrong answers",
                 )
             )
-    return tuple(found)
+    return found
 
 
 def outcome_table(tallies: Mapping[str, FrameTally], rules: Mapping[str, str]) -> TrialTable:
@@ -117,7 +117,7 @@ def cause_table(judged: Sequence[FrameResult], rules: Mapping[str, Rule]) -> Tri
                 causes[found] += 1
         ordered = sorted(causes.items(), key=lambda item: (item[0][0], -item[1]))
         rows += [(TITLES[method], kind.upper(), str(count), why) for (kind, why), count in ordered]
-    return TrialTable("Wrong answers by cause", ("", "", "frames", "cause"), tuple(rows))
+    return TrialTable("Wrong answers by cause", ("", "", "frames", "cause"), rows)
 
 
 def _of_path(judged: FrameResult, owned: Owned) -> tuple[Outcome, str] | None:

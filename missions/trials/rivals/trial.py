@@ -27,7 +27,7 @@ from missions.trials.rivals.report import (
 from missions.trials.rivals.score import Ballot, FrameTally, Rule, best_rule, tally
 from missions.trials.rivals.stage import Case, Wanted
 from missions.trials.rivals.variants import ORB_VARIANTS, XFEAT_VARIANTS, same_look, sentence, told
-from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
+from missions.trials.shared.trial import TrialRequest, TrialResult, TrialTable
 from path.baselines.association import BaselineConfig
 
 TITLE = "Visual ambiguity: which of six similar people is the target"
@@ -273,17 +273,12 @@ def _draw(
     rules: Mapping[str, Rule],
     tallies: Mapping[str, FrameTally],
     sweeps: Mapping[str, Sweep],
-) -> tuple[TrialPicture, ...]:
+) -> dict[str, str]:
     draw_outcomes(tallies, TITLES, request.out / "outcomes.png")
     draw_sweeps(list(sweeps.values()), TITLES, request.out / "sweeps.png")
     caption = draw_view(request, tasks, judged, rules)
-    return (
-        TrialPicture(
-            "outcomes.png", "Frames by outcome. Rates are of all frames, as the paper's are."
-        ),
-        TrialPicture(
-            "sweeps.png",
-            "Right answers over the nearest look-alike's distance and over the angle of the views.",
-        ),
-        TrialPicture("examples.png", caption),
-    )
+    return {
+        "outcomes.png": "Frames by outcome. Rates are of all frames, as the paper's are.",
+        "sweeps.png": "Right answers over the nearest look-alike's distance and over the angle of the views.",
+        "examples.png": caption,
+    }

@@ -125,9 +125,7 @@ def _chapter(chapter: Chapter, *, alone: bool) -> str:
         )
     result = chapter.result
     parts.append(_findings(result.findings))
-    parts += [
-        _picture(chapter.folder / picture.file, picture.caption) for picture in result.pictures
-    ]
+    parts += [_picture(chapter.folder / file, caption) for file, caption in result.pictures.items()]
     parts += [_table(table) for table in result.tables]
     if result.noise is not None:
         parts.append(_table(result.noise))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Any, Literal
@@ -82,16 +82,8 @@ class TrialTable:
 
     title: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: Sequence[tuple[str, ...]]
     note: str = ""
-
-
-@frozen
-class TrialPicture:
-    """A PNG in the trial's folder."""
-
-    file: str
-    caption: str
 
 
 @frozen
@@ -100,17 +92,18 @@ class TrialResult:
 
     Attributes:
         summary: for ``summary.json``: plain numbers in SI units, names with unit suffixes.
+        pictures: PNGs in the trial's folder, each with its caption.
         noise: the table of the noise model and every systematic error that was switched on.
         notes: what a reader has to know: where simulation ends, what was left out and why.
         violations: of whole missions that were flown, by monitor.
     """
 
     summary: Mapping[str, Any]
-    findings: tuple[TrialFinding, ...]
+    findings: Sequence[TrialFinding]
     noise: TrialTable | None = None
-    tables: tuple[TrialTable, ...] = ()
-    pictures: tuple[TrialPicture, ...] = ()
-    notes: tuple[str, ...] = ()
+    tables: Sequence[TrialTable] = ()
+    pictures: Mapping[str, str] = field(default_factory=dict[str, str])
+    notes: Sequence[str] = ()
     violations: Mapping[str, int] = field(default_factory=dict[str, int])
 
 

@@ -13,8 +13,8 @@ import pytest
 from drivers.detectors.measured import PEOPLE, Rates, read_measured, recall_at
 from drivers.interfaces import PartError
 from drivers.recordings.labels import Label
-from flight.plan.checks import flown
 from flight.plan.facts import facts_of
+from flight.plan.flown import flown
 from flight.plan.predictions import predictions
 from hil.world.detector import MEASURED
 from missions.field.measured_detector import Measured

@@ -29,7 +29,6 @@ from missions.trials.shared.drawing import save, sheet
 from missions.trials.shared.statistics import Statistic, bootstrap, figure_of, medians, percentiles
 from missions.trials.shared.trial import (
     TrialFinding,
-    TrialPicture,
     TrialRequest,
     TrialResult,
     TrialTable,
@@ -120,12 +119,9 @@ def run(request: TrialRequest) -> TrialResult:
         findings=(*_real_findings(real), *_budget_findings(timings, rng), *_ratio_findings(ratios)),
         noise=_conditions(plan),
         tables=(_stage_table(timings), _counted_table()),
-        pictures=(
-            TrialPicture(
-                PICTURE,
-                "Median time of stages and cycles; thin lines reach to the 99th percentile.",
-            ),
-        ),
+        pictures={
+            PICTURE: "Median time of stages and cycles; thin lines reach to the 99th percentile.",
+        },
         notes=_notes(request),
     )
 
@@ -179,7 +175,7 @@ def _ratios_of(samples: Array) -> Array:
 
 def _budget_findings(
     timings: Mapping[str, Timings], rng: np.random.Generator
-) -> tuple[TrialFinding, ...]:
+) -> Sequence[TrialFinding]:
     findings: list[TrialFinding] = []
 
     def add(
@@ -210,7 +206,7 @@ def _budget_findings(
     findings += [
         _log_finding(timing, size, number) for size, timing in timings.items() for number in (1, 2)
     ]
-    return tuple(findings)
+    return findings
 
 
 def _log_finding(timing: Timings, size: str, number: int) -> TrialFinding:

@@ -114,7 +114,7 @@ def rates_of(
     }
 
 
-def _findings(rates: dict[str, dict[str, float]], largest: int) -> tuple[TrialFinding, ...]:
+def _findings(rates: dict[str, dict[str, float]], largest: int) -> Sequence[TrialFinding]:
     findings = [
         TrialFinding("largest packet with UDP/IP, B", str(largest), "every kind of message, no byte cut off",
                 "≤ 128", "≤ 128", verdict(largest <= LIMIT_PACKET_B)),
@@ -131,7 +131,7 @@ def _findings(rates: dict[str, dict[str, float]], largest: int) -> tuple[TrialFi
                 verdict(rate["untrimmed_bytes_per_s"] <= GOAL_BYTES_PER_S) if goal else "measured",
             )
         )
-    return tuple(findings)
+    return findings
 
 
 def _conditions(

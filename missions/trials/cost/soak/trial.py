@@ -195,7 +195,7 @@ def _findings(
     samples: Samples,
     run: RunRecords,
     seconds: float,
-) -> tuple[TrialFinding, ...]:
+) -> Sequence[TrialFinding]:
     facts = run.facts
     assert facts is not None, "the flight came to its end"
     ended = facts.outcome == Outcome.NO_AGREEMENT.label
@@ -212,7 +212,7 @@ def _findings(
         findings += _memory_findings(name, taken)
     for role in Role:
         findings += _age_findings(role, ages_ms(run.role(role)))
-    return tuple(findings)
+    return findings
 
 
 def _memory_findings(name: str, taken: Sequence[ProgramSample]) -> Iterator[TrialFinding]:
@@ -272,4 +272,4 @@ def _cpu_table(samples: Samples) -> TrialTable:
             f"{thread} {100 * share:.1f}" for thread, share in shares.items() if share >= 0.001
         )
         rows.append((name, f"{100 * sum(shares.values()):.1f}", threads))
-    return TrialTable("Processor, % of a core", ("program", "all", "by thread"), tuple(rows))
+    return TrialTable("Processor, % of a core", ("program", "all", "by thread"), rows)

@@ -33,7 +33,7 @@ from missions.trials.flights.dynamic.judge import (
 )
 from missions.trials.flights.dynamic.pictures import draw_errors, draw_map
 from missions.trials.flights.errors import alignments
-from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
+from missions.trials.shared.trial import TrialRequest, TrialResult, TrialTable
 
 TITLE = "Beacons: one session's trajectories against an ultrasonic reference"
 PAPER = "Receiver-View Projection Consistency, dynamic part"
@@ -84,10 +84,10 @@ def run(request: TrialRequest) -> TrialResult:
         findings=tuple(report.findings(measured, rows, error_s)),
         noise=noise,
         tables=(alignments({session.folder.name: measured}), report.table(rows)),
-        pictures=(
-            TrialPicture("map.png", "From above: left in the beacons' frame, right seen from D1"),
-            TrialPicture("errors.png", "Errors over time"),
-        ),
+        pictures={
+            "map.png": "From above: left in the beacons' frame, right seen from D1",
+            "errors.png": "Errors over time",
+        },
         notes=(
             *session.notes,
             "A constant latency of the beacons cannot be told from an offset between the clocks.",

@@ -16,7 +16,7 @@ from missions.trials.shared.trial import TrialFinding, TrialTable, verdict
 MOST_NEES = 1.15  # of a claim that holds, with what sampling may add
 
 
-def findings(summary: Mapping[str, Any]) -> tuple[TrialFinding, ...]:
+def findings(summary: Mapping[str, Any]) -> Sequence[TrialFinding]:
     static = {"d2": "static: 47 mm mean", "target": "static: 30 mm mean"}
     found = [
         TrialFinding(
@@ -63,7 +63,7 @@ def findings(summary: Mapping[str, Any]) -> tuple[TrialFinding, ...]:
                 "1 is exact, less is cautious",
             )
         )
-    return tuple(found)
+    return found
 
 
 def noise(
@@ -87,7 +87,7 @@ def noise(
         ),
         *beacons,
     ]
-    return TrialTable("Noise and systematic errors", ("what", "value"), tuple(rows))
+    return TrialTable("Noise and systematic errors", ("what", "value"), rows)
 
 
 def flights(judged: Sequence[HarnessVerdict]) -> TrialTable:
@@ -107,7 +107,7 @@ def flights(judged: Sequence[HarnessVerdict]) -> TrialTable:
     return TrialTable(
         "Flights",
         columns,
-        tuple(rows),
+        rows,
         "The views had to agree for longer than usual, to have more to compare.",
     )
 
@@ -129,7 +129,7 @@ def errors(summary: Mapping[str, Any]) -> TrialTable:
     return TrialTable(
         "Absolute and relative errors, mm",
         ("trajectory, reference", *COLUMNS),
-        tuple(rows),
+        rows,
         f"A beacon's position has {mm(summary['beacon_noise_m'])} mm per axis (measured at rest, before take-off); "
         f"the difference of two, without any error of PATH, gives {alone}. Beacons of 2 cm cannot judge millimetres: "
         f"with their noise taken out, {left} are left, which still hold the warp of their frame, D1's attitude, and "
@@ -158,7 +158,7 @@ def coasts(summary: Mapping[str, Any]) -> TrialTable:
         "its lens: a pixel there is 2 mm, more than all else that is claimed across the line of sight while the marker "
         "is in view. The true pose is interpolated between 25 Hz: 0.3 mm and 0.03 deg are granted to it."
     )
-    return TrialTable("Without a marker", columns, tuple(rows), note)
+    return TrialTable("Without a marker", columns, rows, note)
 
 
 def notes(summary: Mapping[str, Any], quick: bool) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from missions.trials.flights.dynamic.judge import SUBJECTS, HarnessVerdict, judg
 from missions.trials.flights.dynamic.pictures import draw_coast, draw_errors, draw_map
 from missions.trials.flights.errors import alignments, errors_of, spread, tilt_rad
 from missions.trials.shared.statistics import blocks_interval, rms
-from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult
+from missions.trials.shared.trial import TrialRequest, TrialResult
 
 TITLE = "Dynamic: PATH's trajectories against ultrasonic beacons while everything moves"
 PAPER = "Receiver-View Projection Consistency, dynamic part"
@@ -86,19 +86,11 @@ def run(request: TrialRequest) -> TrialResult:
             report.errors(summary),
             report.coasts(summary),
         ),
-        pictures=(
-            TrialPicture(
-                "map.png",
-                "The flight with the first seed from above: left in the beacons' frame, right seen from D1",
-            ),
-            TrialPicture(
-                "errors.png", "Errors over time, against the beacons and against the truth"
-            ),
-            TrialPicture(
-                "coast.png",
-                "Without a marker: error of the predicted position, and what the filter claims",
-            ),
-        ),
+        pictures={
+            "map.png": "The flight with the first seed from above: left in the beacons' frame, right seen from D1",
+            "errors.png": "Errors over time, against the beacons and against the truth",
+            "coast.png": "Without a marker: error of the predicted position, and what the filter claims",
+        },
         notes=report.notes(summary, request.quick),
     )
 

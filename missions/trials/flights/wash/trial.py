@@ -181,7 +181,7 @@ def _table(cells: Sequence[dict[str, Any]]) -> TrialTable:
         )
         for cell in cells
     ]
-    return TrialTable("Hand-overs in each other's air", columns, tuple(rows))
+    return TrialTable("Hand-overs in each other's air", columns, rows)
 
 
 NOTES = (

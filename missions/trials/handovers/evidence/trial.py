@@ -31,7 +31,6 @@ from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.statistics import Interval, bootstrap, medians, upper_bound
 from missions.trials.shared.trial import (
     TrialFinding,
-    TrialPicture,
     TrialRequest,
     TrialResult,
     TrialTable,
@@ -207,7 +206,7 @@ def _result(by_group: Groups, method: MethodConfig, seed: int) -> TrialResult:
         (_time_finding(times, summary, seed), *of_rates, persistent),
         NOISE,
         (_blocks_table(wrong), _forced_table(forced), _bound_table(method)),
-        (TrialPicture(PICTURE, caption),),
+        {PICTURE: caption},
         NOTES,
     )
 
@@ -314,7 +313,7 @@ def _blocks_table(wrong: Sequence[EvidenceAttempt]) -> TrialTable:
             "by evidence",
             "by 350 in a row",
         ),
-        tuple(rows),
+        rows,
         "Below 0 the boxes do not even reach the threshold on the average. Above the needed strength no gate can tell: "
         "that is the persistent part of the bound.",
     )
@@ -329,7 +328,7 @@ def _forced_table(forced: Groups) -> TrialTable:
     return TrialTable(
         "Accepted with a wrong object",
         ("what is forced", "attempts", "evidence", "350 in a row"),
-        tuple(rows),
+        rows,
         "Where the prior itself lies on the look-alike (0.06 m beside it, per axis) both gates are fooled: such an "
         "error is many standard deviations of a calibrated system. 'prior right' below 0.4 m are mostly attempts in "
         "which D1's own tracking went over to the look-alike: both drones then see the same object.",

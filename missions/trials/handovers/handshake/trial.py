@@ -45,7 +45,6 @@ from missions.trials.shared.statistics import (
 )
 from missions.trials.shared.trial import (
     TrialFinding,
-    TrialPicture,
     TrialRequest,
     TrialResult,
     TrialTable,
@@ -116,7 +115,7 @@ def run(request: TrialRequest) -> TrialResult:
             _gate_table(tried, rng),
             _fault_table(tried, runner.meanings()),
         ),
-        pictures=(TrialPicture(TIMES, shares), TrialPicture(FAULTS, by_fault)),
+        pictures={TIMES: shares, FAULTS: by_fault},
         notes=_notes(tried),
     )
 
@@ -361,7 +360,7 @@ def _mission_table(flown: Flown) -> TrialTable:
     return TrialTable(
         "Whole missions, by gate and fault",
         ("gate", "fault", "attempts", "commits", "time to commit, s", "how the others ended"),
-        tuple(rows),
+        rows,
         "Faults begin once 50 pairs agree, losses and delays with the mission; marker_hidden lasts to its end, "
         "lookalike for seven seconds.",
     )
@@ -380,7 +379,7 @@ def _gate_table(tried: Tried, rng: np.random.Generator) -> TrialTable:
     return TrialTable(
         "Both gates on the same Monte-Carlo hand-overs",
         ("gate", "attempts", "commits", "median, s", "p90, s", "wrong", "wrong, 95 % bound"),
-        tuple(rows),
+        rows,
         "Both were told the same pairs; every second attempt is run only until the gate evidence has committed. "
         "Time runs from the first agreeing pair, as in the paper.",
     )
@@ -409,7 +408,7 @@ def _fault_table(tried: Tried, meanings: Mapping[Any, str]) -> TrialTable:
             "fault", "what it is", "attempts", "350 pairs: commits", "wrong", "evidence: commits", "wrong",
             "timeouts of the 350 pairs, by the most frequent miss",
         ),
-        tuple(rows),
+        rows,
     )  # fmt: skip
 
 

@@ -61,6 +61,6 @@ def reliability(attempts: Sequence[StatedCounts]) -> TrialTable:
             "with a wrong one",
             "share, at most (95 %)",
         ),
-        tuple(rows),
+        rows,
         "Of the frames that show what D1 follows in a box of its own, offered or not.",
     )

@@ -234,7 +234,7 @@ def _table(cells: Sequence[Cell]) -> TrialTable:
     return TrialTable(
         "Both drones' detectors, true attempts by each gate, and wrong ones of all",
         (*columns, *(f"{name}, {TITLES[gate]}" for gate in ALL_GATES for name in figures)),
-        tuple(rows),
+        rows,
         f"Commits within {LIMIT_S:g} s. A time of inf: fewer than so many commit.",
     )
 
@@ -252,7 +252,7 @@ def _wrong_table(judged: Sequence[Pair]) -> TrialTable:
     return TrialTable(
         "Commits with a wrong object, over all detectors",
         ("attempts with a", "attempts", *TITLES.values()),
-        tuple(rows),
+        rows,
         "look-alike: 0.3-1.0 m from the target, or driving past it; wrong object: D2 sees nothing else.",
     )
 

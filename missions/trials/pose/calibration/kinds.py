@@ -201,7 +201,7 @@ def kind_table(results: Sequence[KindResult]) -> TrialTable:
             "stated, %",
             "fx / fy / cx / cy off, stated errors",
         ),
-        tuple(rows),
+        rows,
         f"Realistic imaging; the print is curled by {1e3 * SAG_M:g} mm, from its middle to its ends.",
     )
 

@@ -121,7 +121,7 @@ def run(request: TrialRequest) -> TrialResult:
             "by_condition": {f"{c}/{b}": _summary(own) for (c, b), own in groups.items()},
             "kinds": {end.name: end.summary() for end in ends},
         },
-        findings=tuple(findings),
+        findings=findings,
         noise=_noise(),
         tables=(_table(groups, camera, sets, views), kind_table(ends)),
         notes=(
@@ -254,7 +254,7 @@ def _table(
         f"{sets} sets of {views} views at {camera.width}x{camera.height}: corners, px per axis, and the camera",
         ("", "OpenCV rms", "bias u / v", "fitted rms", "bias u / v", "worst fx, fy, %", "worst cx, cy, px",
          "held out, px", "floor, px"),
-        tuple(rows),
+        rows,
         "OpenCV: CharucoDetector's corners, and findChessboardCornersSB's. Fitted: the image around each corner as a "
         "whole, from there on. Held out and floor: rms distance, both axes together.",
     )  # fmt: skip

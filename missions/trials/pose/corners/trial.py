@@ -29,7 +29,6 @@ from missions.trials.pose.corners.score import Score, score
 from missions.trials.pose.corners.shots import OFF_M, OFF_RAD, CornerShot, shoot
 from missions.trials.shared.trial import (
     TrialFinding,
-    TrialPicture,
     TrialRequest,
     TrialResult,
     TrialTable,
@@ -82,14 +81,10 @@ def run(request: TrialRequest) -> TrialResult:
             *(_error_table(scores, camera) for camera in cameras),
             _honesty_table(scores, main),
         ),
-        pictures=(
-            TrialPicture(
-                ERRORS, "Error of the corners per axis, with 95 % intervals over the views."
-            ),
-            TrialPicture(
-                STRIP, f"One view at {main} in every condition, with true and found corners."
-            ),
-        ),
+        pictures={
+            ERRORS: "Error of the corners per axis, with 95 % intervals over the views.",
+            STRIP: f"One view at {main} in every condition, with true and found corners.",
+        },
         notes=_notes(main),
     )
 
@@ -126,7 +121,7 @@ def _summary(scores: Scores, camera: str) -> dict[str, dict[str, Any]]:
     return summary
 
 
-def _findings(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
+def _findings(scores: Scores, camera: str) -> Sequence[TrialFinding]:
     found: list[TrialFinding] = []
     for condition in ("ideal", *REALISTIC):
         for method in METHODS:
@@ -147,7 +142,7 @@ def _findings(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
     return (*found, *_worst(scores, camera))
 
 
-def _worst(scores: Scores, camera: str) -> tuple[TrialFinding, ...]:
+def _worst(scores: Scores, camera: str) -> Sequence[TrialFinding]:
     """Return the default method's worst condition, and the honesty of its covariance where that is
     boldest.
     """
@@ -181,7 +176,7 @@ def _error_table(scores: Scores, camera: str) -> TrialTable:
     return TrialTable(
         f"Error of the corners at {camera}: rms / robust / radial, px; share found",
         ("condition", *(TITLES[method] for method in METHODS)),
-        tuple(rows),
+        rows,
         "rms and robust (1.48 times the median size) per axis, all corners and views; radial: mean error away from the "
         "marker's centre.",
     )
@@ -207,7 +202,7 @@ def _honesty_table(scores: Scores, camera: str) -> TrialTable:
     return TrialTable(
         f"Honesty of the stated covariance at {camera}: mean squared error in its units",
         ("condition", *(TITLES[method] for method in stated)),
-        tuple(rows),
+        rows,
         "1 is honest, below 1 careful, above 1 too confident; 95 % intervals over the views.",
     )
 
@@ -231,7 +226,7 @@ def _noise_table() -> TrialTable:
     return TrialTable(
         "Cameras, views and conditions",
         ("what", "how much", "how it is applied"),
-        tuple(rows),
+        rows,
     )
 
 

@@ -5,6 +5,7 @@ geometry.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from missions.trials.shared.drawing import panels, save
 from missions.trials.shared.statistics import Z95
 from missions.trials.shared.trial import (
     TrialFinding,
-    TrialPicture,
     TrialRequest,
     TrialResult,
     TrialTable,
@@ -144,18 +144,16 @@ def run(request: TrialRequest) -> TrialResult:
         findings=(*_nominal_findings(nominal, pixel, diagonal), *_range_findings(depths)),
         noise=_noise_table(),
         tables=(_depth_table(depths), _linear_table(depths)),
-        pictures=(
-            TrialPicture(
-                PICTURE, "RMS displacement of the prior over the target's depth, by what is wrong."
-            ),
-        ),
+        pictures={
+            PICTURE: "RMS displacement of the prior over the target's depth, by what is wrong.",
+        },
         notes=_notes(marker, count),
     )
 
 
 def _nominal_findings(
     nominal: AtDepth, pixel: np.ndarray, diagonal: float
-) -> tuple[TrialFinding, ...]:
+) -> Sequence[TrialFinding]:
     terms = nominal.terms("constant")
     tolerance = TOLERANCE_PX
 
@@ -180,7 +178,7 @@ def _nominal_findings(
     )  # fmt: skip
 
 
-def _range_findings(depths: list[AtDepth]) -> tuple[TrialFinding, ...]:
+def _range_findings(depths: list[AtDepth]) -> Sequence[TrialFinding]:
     low = depths[0]
     high = depths[-1]
     findings: list[TrialFinding] = []
@@ -200,7 +198,7 @@ def _range_findings(depths: list[AtDepth]) -> tuple[TrialFinding, ...]:
                 else "",
             )
         )
-    return tuple(findings)
+    return findings
 
 
 def _noise_table() -> TrialTable:
@@ -239,7 +237,7 @@ def _depth_table(depths: list[AtDepth]) -> TrialTable:
         )
     laws = tuple(f"depth {LAW_TITLES[law]} / combined" for law in LAWS)
     return TrialTable(
-        "Over the target's depth, px RMS", ("Z, m", "translation", "rotation", *laws), tuple(rows)
+        "Over the target's depth, px RMS", ("Z, m", "translation", "rotation", *laws), rows
     )
 
 
@@ -272,7 +270,7 @@ def _linear_table(depths: list[AtDepth]) -> TrialTable:
     return TrialTable(
         "Check: tried out in every direction / by the derivatives in closed form, px RMS",
         ("Z, m", "depth (constant)", "translation", "rotation"),
-        tuple(rows),
+        rows,
         "First order needs no random numbers: |J|² / 3 for directions uniform on the sphere.",
     )
 

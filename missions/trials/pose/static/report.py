@@ -190,7 +190,7 @@ def findings(
     figures: Mapping[str, Mapping[Method, Figures]],
     square_p95_m: float | Array,
     alone: Sequence[tuple[str, Results]],
-) -> tuple[TrialFinding, ...]:
+) -> Sequence[TrialFinding]:
     """The paper's numbers, and the goals, beside ours; ``alone``: the errors of the table one by
     one, with a title.
     """

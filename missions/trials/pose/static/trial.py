@@ -73,7 +73,7 @@ from missions.trials.pose.static.stage import (
     nominal,
     with_camera,
 )
-from missions.trials.shared.trial import TrialPicture, TrialRequest, TrialResult, TrialTable
+from missions.trials.shared.trial import TrialRequest, TrialResult, TrialTable
 from path.camera.kernels import lens_of
 from path.config import MethodConfig
 from path.cycle.prior import Prior, predict
@@ -302,25 +302,20 @@ def _notes(
 
 def _draw(
     request: TrialRequest, mounts: Mounts, results: dict[str, dict[Method, Results]]
-) -> tuple[TrialPicture, ...]:
+) -> dict[str, str]:
     draw_configurations(mounts, request.out / "configurations.png")
     draw_errors(results, request.out / "errors.png")
-    pictures = [
-        TrialPicture(
-            "configurations.png", "The seven configurations and the three places of the target."
-        ),
-        TrialPicture(
-            "errors.png",
-            "Share of the measurements below an error, by method, on a logarithmic scale.",
-        ),
-    ]
+    pictures = {
+        "configurations.png": "The seven configurations and the three places of the target.",
+        "errors.png": "Share of the measurements below an error, by method, on a logarithmic scale.",
+    }
     if _draw_view(request, mounts):
         caption = (
             f"What D2 sees in configuration {STANDS[SHOWN].name}: the marker as fitted (and enlarged), the prior with "
             "its 3σ ellipse and search region (yellow), and the point of the target that D1 truly saw (red)."
         )
-        pictures.append(TrialPicture("view.png", caption))
-    return tuple(pictures)
+        pictures["view.png"] = caption
+    return pictures
 
 
 def _draw_view(request: TrialRequest, mounts: Mounts) -> bool:

@@ -10,7 +10,7 @@ import pytest
 from drivers.link.fields import TO_WIRE
 from drivers.link.wire import Codec, Drop
 from missions.ground.work import open_work
-from missions.proofs.verify.wire import Piece, fuzz, hardened, play, sound, summary
+from missions.proofs.verify.wire import fuzz, hardened, play, sound, summary
 from path.messages import Message, Ping, Role, Status
 
 
@@ -27,7 +27,7 @@ def test_nothing_forged_is_taken_and_nothing_genuine_lost() -> None:
 
 
 def test_every_type_of_message_is_tried_about_as_often_as_any_other() -> None:
-    figures = summary([play(Piece(3, number, 12_000, hardened)) for number in range(2)])
+    figures = summary([play(3, number, 12_000, hardened) for number in range(2)])
     every = {kind.__name__ for kind in TO_WIRE}
     for name, of in (
         ("genuine", every),
@@ -44,9 +44,9 @@ def test_every_type_of_message_is_tried_about_as_often_as_any_other() -> None:
 
 
 def test_a_seed_is_a_run() -> None:
-    first, again = (play(Piece(5, 1, 400, hardened)) for _ in range(2))
+    first, again = (play(5, 1, 400, hardened) for _ in range(2))
     assert (first.forged, first.dropped) == (again.forged, again.dropped)
-    assert play(Piece(6, 1, 400, hardened)).dropped != first.dropped
+    assert play(6, 1, 400, hardened).dropped != first.dropped
 
 
 class Believing(Codec):
@@ -125,6 +125,6 @@ def test_a_fault_of_the_link_is_found(codec: type[Codec], failing: str) -> None:
     def make(role: Role, key: bytes, stamp: Callable[[], int]) -> Codec:
         return codec(role, key, stamp=stamp)
 
-    figures = summary([play(Piece(1, number, 1_500, make)) for number in range(2)])
+    figures = summary([play(1, number, 1_500, make) for number in range(2)])
     assert not sound(figures)
     assert figures[failing] > 0

@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from missions.trials.shared.page import Chapter, render_page
-from missions.trials.shared.trial import TrialFinding, TrialPicture, TrialResult, TrialTable
+from missions.trials.shared.trial import TrialFinding, TrialResult, TrialTable
 
 FINDINGS = (
     TrialFinding("pairs < 1 mm & more", "97 %", "95 % to 98 %", "90 %", "≥ 95 %", "met"),
@@ -58,9 +58,7 @@ def chapter(name: str, folder: Path, result: TrialResult | None, error: str = ""
 def test_one_trial_fills_its_page(tmp_path: Path) -> None:
     (tmp_path / "errors.png").write_bytes(b"\x89PNG not really")
     noise = TrialTable("Noise", ("what", "sigma"), (("blur", "0.6 px"),), "as <measured>")
-    result = TrialResult(
-        {}, FINDINGS, noise, (), (TrialPicture("errors.png", "Errors & more"),), ("A note.",)
-    )
+    result = TrialResult({}, FINDINGS, noise, (), {"errors.png": "Errors & more"}, ("A note.",))
     page = read(render_page([chapter("static", tmp_path, result)], 1))
     text = "\n".join(page.texts)
     for expected in (

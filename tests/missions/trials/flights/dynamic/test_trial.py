@@ -93,7 +93,7 @@ def test_coasts_claim_what_they_err(result: TrialResult) -> None:
 
 
 def test_report_and_pictures_are_there(result: TrialResult, out: Path) -> None:
-    assert all((out / picture.file).stat().st_size > 10_000 for picture in result.pictures)
+    assert all((out / picture).stat().st_size > 10_000 for picture in result.pictures)
     assert all(len(row) == len(table.columns) for table in result.tables for row in table.rows)
     assert result.noise is not None and len(result.noise.rows) > 15
     assert any("no number" in note for note in result.notes)

@@ -33,7 +33,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> TrialResult:
     with open_work(1) as work:
         out = tmp_path_factory.mktemp("trial")
         result = run(TrialRequest(rig_library.load("sim-rendered"), out, 5, True, work))
-    assert [(out / picture.file).read_bytes()[:4] for picture in result.pictures] == [b"\x89PNG"]
+    assert [(out / picture).read_bytes()[:4] for picture in result.pictures] == [b"\x89PNG"]
     return result
 
 

@@ -47,9 +47,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> TrialResult:
     out = tmp_path_factory.mktemp("trial")
     with open_work(1) as work:
         result = handshake.run(TrialRequest(RIG, out, 5, True, work))
-    assert [(out / picture.file).read_bytes()[:4] for picture in result.pictures] == [
-        b"\x89PNG"
-    ] * 2
+    assert [(out / picture).read_bytes()[:4] for picture in result.pictures] == [b"\x89PNG"] * 2
     return result
 
 

@@ -53,6 +53,4 @@ def test_the_law_is_stated_and_the_marker_outside_the_image_is_told(result: Tria
 def test_the_picture_is_there(tmp_path: Path) -> None:
     with open_work(1) as work:
         result = run(TrialRequest(rig_library.load("sim"), tmp_path, 5, True, work))
-    assert [(tmp_path / picture.file).read_bytes()[:4] for picture in result.pictures] == [
-        b"\x89PNG"
-    ]
+    assert [(tmp_path / picture).read_bytes()[:4] for picture in result.pictures] == [b"\x89PNG"]
