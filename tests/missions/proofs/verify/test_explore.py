@@ -20,15 +20,18 @@ from path.protocol import sender
 INVARIANTS = {"S1", "S2", "S3", "S4", "S5", "S6", "L1", "L2"}
 
 
+ABORTING = replace(SMALL, aborts=1)
+
+
 @cache
-def small_worlds() -> tuple[Moves, Exact, Exploration]:
-    """Every world of ``SMALL``: several tests ask for something of it."""
-    moves, exact = Moves(SMALL), Exact()
-    return moves, exact, explore(SMALL, seen=exact, moves=moves)
+def every_world(scope: Scope) -> tuple[Moves, Exact, Exploration]:
+    """Every world of a scope: several tests ask for something of it."""
+    moves, exact = Moves(scope), Exact()
+    return moves, exact, explore(scope, seen=exact, moves=moves)
 
 
 def of_small() -> Exploration:
-    return small_worlds()[2]
+    return every_world(SMALL)[2]
 
 
 def said_of(found: Exploration) -> str:
@@ -39,14 +42,14 @@ def said_of(found: Exploration) -> str:
     ("scope", "states"),
     [
         (SMALL, 9000),
-        (replace(SMALL, aborts=1), 30_000),
+        (ABORTING, 30_000),
         (replace(SMALL, guard=0, uncertainty=2, lease=5), 15_000),
     ],
 )
 def test_the_machines_keep_every_invariant_in_every_reachable_world(
     scope: Scope, states: int
 ) -> None:
-    found = of_small() if scope == SMALL else explore(scope)
+    found = every_world(scope)[2]
     assert found.complete and not found.broken, said_of(found)
     assert found.states > states
     assert found.in_flight >= 4
@@ -101,12 +104,8 @@ def test_all_that_can_come_of_a_handover_is_reached() -> None:
 
 
 def test_every_world_is_covered_by_one_that_a_covering_exploration_enters() -> None:
-    for scope in (SMALL, replace(SMALL, lease=3, handoff=4, offer=3, aborts=1)):
-        if scope == SMALL:
-            moves, exact, everything = small_worlds()
-        else:
-            moves, exact = Moves(scope), Exact()
-            everything = explore(scope, seen=exact, moves=moves)
+    for scope in (SMALL, ABORTING):
+        moves, exact, everything = every_world(scope)
         covering = Covering()
         fewer = explore(scope, seen=covering, moves=moves)
         assert all(covering.covered(world) for world in exact.worlds)
