@@ -8,9 +8,20 @@ import numpy as np
 import pytest
 
 from drivers.rig.facts import DroneFacts
+from flight.plan.derive import held_mps2
+from flight.wash import keep_out_m, rotors_of
 from hil.world.air import Air, AirConfig
 from hil.world.config import HomeConfig, WorldConfig
-from hil.world.dynamics import CONTACT, GRAVITY_MPS2, THRUST, Array, standing
+from hil.world.dynamics import (
+    CONTACT,
+    GRAVITY_MPS2,
+    MOTORS_FLY,
+    THRUST,
+    AirframeConfig,
+    Array,
+    fly,
+    standing,
+)
 from hil.world.targets import TargetConfig
 from hil.world.world import Fleet
 
@@ -127,3 +138,24 @@ def test_what_drives_is_not_pushed() -> None:
     world = Fleet(WorldConfig(), 1, {"one": HomeConfig()})
     assert len(world.air.shifts_w_m) == 0
     assert replace(world.target()) == world.target()
+
+
+@pytest.mark.parametrize(("share", "least_m", "most_m"), [(0.0, 0.4, 0.8), (1.0, 0.05, 0.2)])
+def test_a_drone_at_the_keep_out_sinks_by_less_than_it_wanders_and_below_the_middle_by_more(
+    share: float, least_m: float, most_m: float
+) -> None:
+    drone = DroneFacts()
+    beside_m = share * keep_out_m(rotors_of(drone), 1.0, held_mps2(drone))
+    rows = hovering((0.0, 0.0, -4.0), (beside_m + 3.0, 0.0, -3.0))
+    air = Air(USUAL, 0.3, 2, 0, 3, 0.02)
+    goals = rows[:, :3].copy()
+    command = np.zeros((2, 5))
+    command[:, 0] = MOTORS_FLY
+    sunk_m = 0.0
+    for k in range(500):
+        air.tick(rows, CALM)
+        goals[1, 0] = beside_m + max(0.0, 3.0 - 0.03 * k)  # it flies in from aside
+        command[:, 1:4] = 0.9 * (goals - rows[:, :3])
+        fly(rows, command, CALM, air.pushes, CALM, CALM, AirframeConfig().row(), 0.005, 4)
+        sunk_m = max(sunk_m, rows[1, 2] - goals[1, 2])
+    assert least_m < sunk_m < most_m
