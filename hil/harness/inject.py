@@ -9,6 +9,7 @@ from typing import Any
 
 from drivers.interfaces import FlightMode, PartError
 from drivers.rig.parts import Rig
+from hil.autopilot.autopilot import Autopilot
 from hil.autopilot.radio import STICKS_SLOT, Transmitter
 from hil.harness.drone import DroneHarness, present_s
 from hil.harness.programs import Programs
@@ -34,6 +35,7 @@ _OF_LINK = {
 }
 
 
+WEATHER = ("wash", "compass", "leg", "slope", "exposure", "smudge")
 _OF_DETECTOR = {
     "detector_recall": "recall",
     "detector_miss_frames": "miss_frames",
@@ -86,34 +88,32 @@ def inject_in_world(
             world.hide_marker(leg[0], math.inf if value is None else value)
         case "depth_holes":
             world.depth_holes(*leg)
-        case "pilot_takeover" if role is not None:
-            world.drone(role).autopilot.request_mode(world.time_s, FlightMode.OTHER, by_pilot=True)
-        case "motor_kill" if role is not None:
-            world.drone(role).autopilot.kill(world.time_s)
+        case "pilot_takeover" | "motor_kill" if role is not None:
+            _by_pilot(name, world.drone(role).autopilot, world.time_s)
         case _ if role is not None and name.startswith(RC):
             away_until_s = world.time_s + (math.inf if value is None else value)
             _at_transmitter(name, world.drone(role).autopilot.radio.transmitter, away_until_s)
         case _ if role is not None and name.startswith(STEP):
             _step_estimator(name, role, world, value or 0.0)
-        case (
-            "wash" | "detector_recall" | "detector_miss_frames" | "detector_false" | "detector_bias"
-        ):
-            _worsen(name, world, value or 0.0)
+        case _ if name in _OF_DETECTOR:
+            world.degrade_detectors(**{_OF_DETECTOR[name]: value or 0.0})
         case "no_failsafe":
             for drone in world.names:
                 autopilot = world.drone(drone).autopilot
                 autopilot.config = replace(autopilot.config, offboard_loss_s=math.inf)
         case "battery_sag" if role is not None:
             world.battery(role, SAGGED if value is None else value)
+        case _ if name in WEATHER:
+            setattr(world.air if name == "wash" else world.weather, name, value or 0.0)
         case _:
             pass
 
 
-def _worsen(name: str, world: Fleet, value: float) -> None:
-    if name == "wash":
-        world.air.wash = value
+def _by_pilot(name: str, autopilot: Autopilot, now_s: float) -> None:
+    if name == "motor_kill":
+        autopilot.kill(now_s)
     else:
-        world.degrade_detectors(**{_OF_DETECTOR[name]: value})
+        autopilot.request_mode(now_s, FlightMode.OTHER, by_pilot=True)
 
 
 def _step_estimator(name: str, drone: str, world: Fleet, by: float) -> None:

@@ -25,6 +25,7 @@ from hil.render.overlay import Overlay
 from hil.render.scene import MARKER, Body, drone, flying, marked_drone, standing
 from hil.render.sensor import SensorNoise
 from hil.render.shutter import NO_SWEEP, CameraMotion, Shutter, carried, smear_px, sweep
+from hil.render.spoilt import spoil
 from hil.render.surfaces import lost_shares
 from hil.render.textures import ground_pyramid
 from hil.world.config import SceneName
@@ -171,6 +172,7 @@ class Renderer:
         for _ in self._stages(seen, bodies, key, depth, snapshot.depth_holes, unseen):
             pass
         light = self._image
+        spoil(light, snapshot.light, snapshot.smudge, self.seed)
         image = self.expose(light, key) if exposed is None else self.thinned(exposed(light, key))
         return image, self.thinned(depth)
 
@@ -181,6 +183,7 @@ class Renderer:
         unseen = self._unseen(snapshot, role)
         for _ in self._stages(self._motion(snapshot, role), bodies, key, None, False, unseen):
             pass
+        spoil(self._image, snapshot.light, snapshot.smudge, self.seed)
         return self.expose(self._image, key)
 
     def T_w_c(self, snapshot: Snapshot, role: Role) -> Pose:

@@ -42,6 +42,7 @@ class FaultKind:
         virtual: only in a single hand-over in virtual time.
         geometric: only at level ``sim``, where observations come from geometry: elsewhere there are
             real detectors.
+        drawn: only where frames are drawn.
         value: whether it is a quantity (``link_loss=0.3``), and whether that may be left out.
     """
 
@@ -54,6 +55,7 @@ class FaultKind:
     own: bool = False
     least: float = 0.0
     geometric: bool = False
+    drawn: bool = False
     virtual: bool = False
 
     @property
@@ -93,6 +95,21 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("depth_holes", Role.SENDER, "no", "the depth cameras measure nothing on objects"),
         FaultKind(
             "wash", None, "must", "the air that drones throw down is so many times as fast as by their mass", True, 3.0
+        ),
+        FaultKind(
+            "compass", None, "must", "each drone's heading goes off by so many degrees within a minute", True, 90.0
+        ),
+        FaultKind(
+            "leg", Role.SENDER, "must", "something of the sender is before its marker for this share of the time", True,
+        ),
+        FaultKind(
+            "slope", None, "must", "the ground rises to the north by so many metres in a metre", True, 0.5, least=-0.5,
+            geometric=True,
+        ),
+        FaultKind("exposure", None, "must", "exposures swing by so many stops, up and down", True, 4.0, drawn=True),
+        FaultKind(
+            "smudge", None, "must", "a smudge on each lens is as wide as this share of the image's height", True,
+            drawn=True,
         ),
         FaultKind("link_loss", None, "must", "this share of the packets is lost, both ways", True),
         FaultKind(
@@ -272,6 +289,11 @@ def parse_faults(texts: Sequence[str], level: str) -> list[Fault]:
         if fault.kind.geometric and level != "sim":
             raise PartError(
                 f"fault {fault.name}: level {level} has real detectors", "use a rig of level sim"
+            )
+        if fault.kind.drawn and level == "sim":
+            raise PartError(
+                f"fault {fault.name}: level {level} draws no frames",
+                "use a rig of level sim-rendered",
             )
         if fault.kind.virtual and level not in VIRTUAL:
             raise PartError(

@@ -106,7 +106,8 @@ class Snapshot:
 
     ``kind``: of all objects. ``stretch``: times the size that a body of this kind has along x, y
     and z of its frame. ``crates``: what else lies on the ground. ``obstacles``: boxes of what
-    stands in the way, which hide what is behind them.
+    stands in the way, which hide what is behind them. ``light``: times what exposures usually take
+    in. ``smudge``: share of the image's height that a smudge on each lens is wide.
     """
 
     time_s: float
@@ -119,6 +120,8 @@ class Snapshot:
     stretch: Vec3 = AS_IT_IS
     crates: tuple[Crate, ...] = ()
     obstacles: tuple[Crate, ...] = ()
+    light: float = 1.0
+    smudge: float = 0.0
 
     def carried_on(self, by_s: float) -> Snapshot:
         """Return the snapshot some milliseconds later or earlier: everything moves on with its

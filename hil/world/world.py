@@ -46,6 +46,7 @@ from hil.world.fields import NUMBERS, TargetField
 from hil.world.obstacles import ObstaclesConfig, crates_of, stand
 from hil.world.rangefinder import SimRangefinder
 from hil.world.snapshot import DroneTruth, ObjectTruth, Snapshot
+from hil.world.weather import Weather
 from path.geometry.transforms import Pose
 from path.messages import Quat, Role, Vec3
 
@@ -229,6 +230,7 @@ class Fleet:
         self._airframe = config.airframe.row()
         light = max(1, len(targets)) if config.target.kind == "drone" else 0
         drag_hz = config.airframe.drag_hz
+        self.weather = Weather(seed)
         self.air = Air(config.air, drag_hz, len(homes), light, seed, TICK_S)
         self._states = np.stack([at_home(home, config.airframe.leg_m) for home in homes.values()])
         self._commands = np.zeros((len(homes), COMMAND_SIZE))
@@ -316,6 +318,8 @@ class Fleet:
             self._changed()
 
     def _sense(self) -> None:
+        turns = self.weather.turns_rad(len(self._states), TICK_S, self._step / STEP_HZ)
+        self._sensors.attitude_bias[:, 2] += turns
         rows = self._sensors.tick(self._states)
         self.air.tick(self._states, self._sensors.winds)
         self._move_targets()
@@ -337,7 +341,9 @@ class Fleet:
         self.air.move_targets(places, self._states, self._sensors.winds, by_s)
 
     def _pushed(self, thing: ObjectTruth) -> ObjectTruth:
-        """Return a thing where the drones' air has pushed it."""
+        """Return a thing where sloping ground and the drones' air have it."""
+        if self.weather.slope:
+            thing = replace(thing, position_w_m=self.weather.higher(thing.position_w_m))
         number, apart = divmod(thing.object_id, NUMBERS)
         if apart or number >= len(self.air.shifts_w_m):
             return thing
@@ -422,7 +428,8 @@ class Fleet:
 
     def _hidden(self, name: str) -> bool:
         """Return whether a drone's marker is covered."""
-        return self.time_s < self._covered.get(name, -math.inf)
+        covered = self.time_s < self._covered.get(name, -math.inf)
+        return covered or self.weather.hides_marker(self.time_s)
 
     def _seen(
         self,
@@ -434,7 +441,7 @@ class Fleet:
         target = self.config.target
         return Snapshot(
             self.time_s, drones, objects, marker_hidden, depth_holes, self.detector, target.kind, target.stretch,
-            self._crates, crates_of(self.obstacles),
+            self._crates, crates_of(self.obstacles), self.weather.light(self.time_s), self.weather.smudge,
         )  # fmt: skip
 
     def truths(self) -> dict[str, DroneTruth]:
@@ -549,7 +556,7 @@ class World(Fleet):
         if self._snapshot is None:
             truths = self.truths()
             drones = {role: truths[role] for role in Role}
-            hidden = any(self._hidden(name) for name in self._covered)
+            hidden = any(map(self._hidden, drones))
             self._snapshot = self._seen(drones, self.all_objects, hidden, bool(self._no_depth))
         return self._snapshot
 
