@@ -68,7 +68,7 @@ def place_frames(
         bounds = extents[row, : count + 1]
         place(
             flown.R[k], flown.t[k], R_b_c, t_b_c, lens, things[:count], target, flown.other_R[k], flown.other_t[k],
-            drone, bodies, bounds, frames[row],
+            drone, drone[:0], bodies, bounds, frames[row],
         )  # fmt: skip
         outlines(bodies, bounds, target.shape[0], lens, seen[row, :count])
 
