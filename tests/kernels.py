@@ -8,8 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-PARTS = ("renderer", "depth", "cycles", "physics", "geometry"), ("marker", "pose", "relative")
-"""That each of two processes compiles: about as much."""
+PARTS = (
+    ("renderer", "depth", "cycles", "physics", "geometry"),
+    ("marker", "pose", "relative"),
+    ("common view",),
+)
+"""That each of three processes compiles: about as much."""
 LIMIT_S = 600.0
 TESTS = Path(__file__).parent
 

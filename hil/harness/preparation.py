@@ -93,6 +93,7 @@ PARTS: Mapping[str, Sequence[str]] = {
     "relative": ("path.marker.warm_up:warm_up_relative",),
     "cycles": ("path.cycle.warm_up:warm_up_cycles", "path.belief.warm_up:warm_up_belief"),
     "marker": ("path.marker.warm_up:warm_up_image",),
+    "common view": ("flight.common_view:warm_up",),
     "physics": (f"{__name__}:physics",),
     "geometry": ("hil.geometric.perception:warm_up",),
     "renderer": ("hil.render.renderer:warm_up",),
