@@ -83,9 +83,12 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Groups:
-    """Hand out tests once kernels are compiled, which began before workers did."""
-    for process in config.stash.get(COMPILING, []):
-        process.wait(LIMIT_S)
+    """Hand out tests once kernels are compiled, which began before workers did, unless their
+    number was told.
+    """
+    if config.args_source is config.ArgsSource.TESTPATHS:
+        for process in config.stash.get(COMPILING, None) or compile_kernels():
+            process.wait(LIMIT_S)
     return Groups(config, log, config.stash[FLYING])
 
 
