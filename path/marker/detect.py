@@ -92,8 +92,7 @@ def detect_markers(
     for scale in scales:
         for marker_id, quad in _searched(grey, layout, scale):
             pattern = quiet(layout.dictionary, marker_id)
-            known = None if memory is None or expected is None else memory.get(marker_id)
-            known = known or Known.nothing(len(pattern) - 2)
+            known = _known_of(marker_id, pattern, memory, tracked=expected is not None)
             refined = refine_corners(grey, (u0, v0), quad, pattern, camera, refine, known)
             if refined is not None:
                 if memory is not None:
@@ -120,7 +119,7 @@ def _tracked(
         bordered = seen.border >= MIN_BORDER
         known = None
         if memory is not None:
-            known = memory.setdefault(seen.marker_id, Known.nothing(len(pattern) - 2))
+            known = memory[seen.marker_id] = _known_of(seen.marker_id, pattern, memory)
         fitted = trusted_fit(
             seen.grey,
             seen.offset,
@@ -135,6 +134,19 @@ def _tracked(
             return ()
         found.append(MarkerDetection(seen.marker_id, fitted.corners_px, fitted.covariance_px2))
     return tuple(sorted(found, key=lambda detection: detection.marker_id))
+
+
+def _known_of(
+    marker_id: int, pattern: Array, memory: Memory | None, *, tracked: bool = True
+) -> Known:
+    """What is known of a marker: by its own earlier frames where it is tracked, else by what others
+    told of the camera.
+    """
+    seen = memory or {}
+    own = seen.get(marker_id) if tracked else None
+    return own or Known.among(
+        (each for i, each in seen.items() if i != marker_id), len(pattern) - 2
+    )
 
 
 def _searched(

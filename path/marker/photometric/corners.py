@@ -79,6 +79,7 @@ FILTERED_MISFIT = 0.016
 FILTERED_LEFT = 0.7
 # of a fit that begins with what is known of the print: a shorter step is followed by none that matters
 KNOWN_SETTLED_PX = 0.08
+LEARN_OF = 2  # of so many pixels one tells of inner edges: they last, and frames are many
 UNSETTLED_PX = 0.15  # longest last step of a fit that creeps towards its end
 
 
@@ -147,8 +148,17 @@ def fit(
     if state is None:
         return None
     if known is not None and known.frames > 0:
-        state = _fit_known(state, known, near)
-        return None if state is None else _finished(state)
+        usual = known.left
+        fitted = _fit_known(state, known, near)
+        if known.own or (fitted is not None and fitted.misfit < AGAIN * usual):
+            known.own = True
+            return None if fitted is None else _finished(fitted)
+        # another kind of print than those that this camera has seen
+        known.own = True
+        known.forget()
+        return fit(
+            image, offset, start_px, camera, cells, edges, near=near, border=border, known=known
+        )
     if not fit_ideal(state, ideal, near):
         return None
     if not ideal and misfits(state):
@@ -232,7 +242,7 @@ def _learn(state: FitState, known: Known) -> None:
         return
     groups = np.zeros(GROUPS, np.bool_)
     groups[COARSE] = True
-    pixels = state.pixels
+    pixels = np.ascontiguousarray(state.pixels[::LEARN_OF])
     rays, at = own_places(pixels)
     size = UNKNOWNS + len(known.offsets)
     normal = np.empty((size, size + 1))

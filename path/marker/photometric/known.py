@@ -8,6 +8,7 @@ what was asked in vain is asked again only when more is left than then.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,7 @@ class Known:
         left: residual over contrast that is usually left when all was asked.
         question: place in QUESTIONS of what was answered or is asked next.
         extra: the unknowns that answered it in the newest fit; None when nothing did.
+        own: this is from frames of its own, not of other markers alone.
     """
 
     offsets: Array
@@ -48,12 +50,31 @@ class Known:
     left: float = 0.0
     question: int = 0
     extra: Array | None = None
+    own: bool = True
 
     @classmethod
     def nothing(cls, cells: int) -> Known:
         """Return what is known before the first frame."""
         size = 2 * (cells - 1)
         return cls(np.zeros(size), np.eye(size) / EDGE_SIGMA**2)
+
+    @classmethod
+    def among(cls, others: Iterable[Known], cells: int) -> Known:
+        """Return what is known before its first frame of a marker of a camera that has seen others:
+        how much its image is blurred, what else is not ideal about it, and how much that usually
+        leaves. Where this print's inner edges are it learns from frame to frame.
+        """
+        own = cls.nothing(cells)
+        seen = max(others, key=lambda each: each.frames, default=own)
+        if seen.frames == 0 or len(seen.offsets) != len(own.offsets):
+            return own
+        own.frames = 1
+        own.blur_px = seen.blur_px
+        own.tone = seen.tone
+        own.left = seen.left
+        own.question = seen.question
+        own.own = False
+        return own
 
     def forget(self) -> None:
         """Ask everything again in the next frame."""

@@ -201,3 +201,32 @@ def test_each_marker_of_a_layout_has_its_own_memory():
     shot = render(HD, pose, layout, np.random.default_rng(8), Optics(), np.full((720, 1280), 105.0))
     detect_markers(shot, None, layout, HD, memory=memory)
     assert list(memory) == [7]
+
+
+@pytest.mark.parametrize("ends", [np.arange(7.0), COARSE_ENDS], ids=["alike", "of another kind"])
+def test_a_marker_that_is_new_to_a_camera_begins_with_what_others_told_of_it(
+    ends: Image, monkeypatch: pytest.MonkeyPatch
+):
+    rng = np.random.default_rng(9)
+    memory: Memory = {3: Known.nothing(6)}
+    for _ in range(3):
+        image, truth = coarse_print(np.arange(7.0), rng)
+        near_fit(image, truth, memory[3], rng)
+    known = Known.among(memory.values(), 6)
+    assert (known.frames, known.blur_px, known.own) == (1, memory[3].blur_px, False)
+    assert not known.offsets.any(), "another print's edges are elsewhere"
+    asked: list[bool] = []
+    everything = corners._fit_misfit
+
+    def counted(state: corners.FitState) -> corners.FitState:
+        asked.append(True)
+        return everything(state)
+
+    monkeypatch.setattr(corners, "_fit_misfit", counted)
+    for _ in range(4):
+        image, truth = coarse_print(ends, rng)
+        later = near_fit(image, truth, known, rng)
+        assert off_px(later, truth) < 0.05
+        assert known.own
+    assert len(asked) == (0 if ends is not COARSE_ENDS else 1)
+    assert Known.among([], 6).frames == Known.among(memory.values(), 5).frames == 0
