@@ -98,6 +98,12 @@ class ExportOptions:
     extra `ros`.
     """
 
+    publish: str | None = None
+    """With --ros2: publish what the logs say while they are written, until Ctrl-C, through the zenoh
+    router that listens there, such as tcp/127.0.0.1:7447, as topics of rmw_zenoh. Needs the extra
+    `ros-live`.
+    """
+
     calibration: FileName = None
     """Of a RealSense recording: the colour camera's, instead of its maker's; depth is registered by
     it.

@@ -5,7 +5,8 @@
         marker.tum, and the target there, of a flight or a film, target.tum; and at levels with a
         world what was true of both: truth-DRONE.tum, the body in the world, and truth-marker.tum.
 --csv   one table a topic and log: utc_ns, stamp_ns, then every field; lists have a column for each number.
---ros2  a bag of ROS 2 with standard messages (``missions.look.logs.ros2``).
+--ros2  a bag of ROS 2 with standard messages (``missions.look.logs.ros2``); with --publish topics, while
+        the logs are written (``missions.look.logs.ros2_live``).
 
 A RealSense recording or a bag of ROS becomes images (``missions.look.logs.recording``).
 """
@@ -34,6 +35,7 @@ from missions.look.report.truth import Truth, truth_of
 from path.geometry.rotation import quat_from_R
 from path.messages import Role
 
+ROS_PARTS = ("rosbags", "mcap_protobuf")
 NOT_TURNED = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -60,6 +62,8 @@ def run(options: ExportOptions) -> int:
         )
     if not (options.tum or options.csv or options.ros2):
         raise PartError("nothing is asked for", "say --tum, --csv or --ros2, or several")
+    if options.publish is not None:
+        return _publish(options.folder, options.publish, ros2=options.ros2)
     out = options.out or options.folder / "export"
     with unless_refused(out):
         written = _write_all(options, out)
@@ -92,10 +96,30 @@ def _write_all(options: ExportOptions, out: Path) -> list[Path]:
     return written
 
 
-def _write_ros2(folder: Path, out: Path) -> Path:
-    missing = [name for name in ("rosbags", "mcap_protobuf") if find_spec(name) is None]
+def _publish(folder: Path, router: str, *, ros2: bool) -> int:
+    if not ros2:
+        raise PartError("--publish is of --ros2", "say --ros2 as well")
+    _need(
+        "zenoh",
+        *ROS_PARTS,
+        install=INSTALL.replace("`ros`: docs/films.md", "`ros-live`: docs/logs.md"),
+    )
+    from missions.look.logs.ros2_live import publish  # noqa: PLC0415 (an extra)
+
+    sys.stdout.write(f"publishing what is written into {folder} by {router}; Ctrl-C ends\n")
+    sys.stdout.flush()
+    publish(folder, router, lambda: True)
+    return 0
+
+
+def _need(*names: str, install: str = INSTALL) -> None:
+    missing = [name for name in names if find_spec(name) is None]
     if missing:
-        raise PartError(f"--ros2 needs {' and '.join(missing)}, which is not installed", INSTALL)
+        raise PartError(f"--ros2 needs {' and '.join(missing)}, which is not installed", install)
+
+
+def _write_ros2(folder: Path, out: Path) -> Path:
+    _need(*ROS_PARTS)
     from missions.look.logs.ros2 import write_ros2  # noqa: PLC0415 (an extra)
 
     return write_ros2(folder, out)

@@ -47,9 +47,7 @@ def write_ros2(folder: Path, out: Path) -> Path:
     bag = out / BAG
     if bag.exists():
         shutil.rmtree(bag)  # of an earlier export: the folder is held, and is an export's
-    store = get_typestore(STORE)
-    for name, text in VISION.items():
-        store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
+    store = ros2_types()
     said = Standards()
     with TemporaryDirectory(prefix="path-ros2-") as there:
         merged = Path(there) / MERGED
@@ -71,6 +69,14 @@ def write_ros2(folder: Path, out: Path) -> Path:
     if not connections:
         raise PartError(f"{folder}: its logs hold nothing that ROS knows", "name another run")
     return bag
+
+
+def ros2_types() -> Any:
+    """Return the definitions of all types that are written."""
+    store = get_typestore(STORE)
+    for name, text in VISION.items():
+        store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
+    return store
 
 
 def made(

@@ -66,6 +66,7 @@ class LittleFlight:
         target = {**seen, **place, "box": OWN_BOX, "depth_m": 2.8, "beside": LOOK_ALIKE}
         self.sender.write("/target", now_ns, target)
         marker = {"capture_ns": now_ns, "position_v_m": (0.6, 0.0, 0.8), "corners_px": MARKER_PX}
+        marker |= {"rotation_v_c2": LEVEL_Q, "sigma_m": 0.005}
         self.receiver.write("/marker", now_ns, marker)
         self.receiver.write("/candidate", now_ns, {**seen, "box": D2_BOX})
         pair: dict[str, Any] = {"agreed": True, "count": 12, "needed": 30, "evidence": 2.5}
