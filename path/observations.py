@@ -184,6 +184,7 @@ class MissReason(Enum):
     NO_TRACK = "no_track"
     LINK_SILENT = "link_silent"
     NON_FINITE = "non_finite"
+    OCCLUDED = "occluded"  # by something nearer, as depth shows
 
 
 @value

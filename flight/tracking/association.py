@@ -37,6 +37,8 @@ _BESIDE = 0.48  # around the object, what else is told of
 DEPTH_FLOOR = 0.096
 # after so long anything else that the object may have come to might as well be the object
 UNSEEN_S = 0.5
+SURE = 0.95
+"""The probability by the belief with which an object is taken again that others stood around."""
 _RATHER = 0.5  # the least probability with which an object in sight is followed when none was kept
 _OUTSIDE_PX = 60.0  # so far outside the image an object's middle may be, and a part of it inside
 AMBIGUITY = 0.6
@@ -69,18 +71,18 @@ def follow(
     The object must be where the track predicts it, and clearly nearer to there than anything that
     looks alike. Where such a thing was seen beside it, the gate does not reach it, however long the
     object is missed; and an object that was out of sight for a while is taken again only when
-    nothing else is as far as it can have come, nor lately was: a detector misses objects. Nor is
-    what is much smaller than the object was, whose box may have been around two. What depth shows
-    to be farther behind than the object can have come counts for none of this while another is in
-    sight. Without depth, or with a range that is only estimated, it is taken to be as high as it
-    was: so the drone keeps following while the frame is a miss, and does not follow a range that
-    changes with the target's heading. A depth that puts it elsewhere on its ray is of something
+    nothing else is as far as it can have come, nor lately was (a detector misses objects), or the
+    belief is sure of it. Nor is what is much smaller than the object was, whose box may have been
+    around two. What depth shows to be farther behind than the object can have come counts for none
+    of this while another is in sight. Without depth, or with a range that is only estimated, it is
+    taken to be as high as it was: so the drone keeps following while the frame is a miss, and does
+    not follow a range that changes with the target's heading. A depth that puts it elsewhere on its ray is of something
     else, such as the other drone in front of it: that is no depth. A box that the image's border
     cuts is not the object's: it keeps the track, and the frame is a miss. Two boxes that are the
     object's size together are the object, and not something beside it. A box that has suddenly
     grown has something else in it as well: the object is somewhere in there, and the frame is a
     miss too. Where no box is, what stands out there by its depth carries the track for a while: a
-    miss all the same.
+    miss all the same, and OCCLUDED where depth shows something nearer.
     """
     looked = _looked(view, T_n_c, camera, track)
     if looked is None:
@@ -115,7 +117,8 @@ def follow(
     if len(ranked) > 1:
         track.note_rival(_nearest_m(ranked, px_per_m), view.stamp_ns)
         nearly = _nearly_as_near(ranked)
-    if nearly or (unseen and (track.accompanied(view.stamp_ns) or _is_part(chosen.box, side_px))):
+    doubtful = track.accompanied(view.stamp_ns) and not _is_surely(track, chosen.box)
+    if nearly or (unseen and (doubtful or _is_part(chosen.box, side_px))):
         return MissReason.AMBIGUOUS_TARGET
     if chosen.cut:
         _bound(track, chosen.pixel, camera, T_n_c, view.stamp_ns)
@@ -292,7 +295,19 @@ def _unfound(
         track.carry(place_n, view.stamp_ns)
         if track.identity is not None:
             track.identity.carry(place_n, view.stamp_ns)
-    return MissReason.NO_TARGET if holder is None else MissReason.AMBIGUOUS_TARGET
+    if holder is not None:
+        return MissReason.AMBIGUOUS_TARGET
+    hidden = _is_hidden(view, pixel, side_px, z_m - reach_px * z_m / camera.fx)
+    return MissReason.OCCLUDED if hidden else MissReason.NO_TARGET
+
+
+def _is_hidden(view: View, pixel: Pixel, side_px: tuple[float, float], nearest_m: float) -> bool:
+    """Return whether something stands before the place of an object that is no nearer than that."""
+    width, height = side_px
+    depth = view.depth(Box(pixel[0] - 0.5 * width, pixel[1] - 0.5 * height, width, height))
+    if depth is None:
+        return False
+    return (1.0 + DEPTH_FLOOR) * depth.z_m + DEPTH_SIGMAS * depth.sigma_m < nearest_m
 
 
 def _unseen(track: TargetTrack, stamp_ns: int) -> bool:
@@ -300,6 +315,11 @@ def _unseen(track: TargetTrack, stamp_ns: int) -> bool:
     anything.
     """
     return stamp_ns - track.stamp_ns > UNSEEN_S * 1e9
+
+
+def _is_surely(track: TargetTrack, box: Box) -> bool:
+    """Return whether the belief, which tracks what is around too, takes a box for the object's."""
+    return track.identity is not None and track.identity.of(box) >= SURE
 
 
 def _not_behind(seen: list[ImageObject], view: View, most_m: float) -> list[ImageObject]:

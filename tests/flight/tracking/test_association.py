@@ -57,6 +57,8 @@ class FakeView:
         return []
 
     def depth(self, box: Box) -> Depth | None:
+        if box not in self.boxes():
+            return Depth(self.hidden_behind_m, 0.01) if self.hidden_behind_m < math.inf else None
         at = self.boxes().index(box)
         z_m = min(self.hidden_behind_m, self._seen(self.places[at])[1])
         return Depth(z_m, 0.01) if self.has_depth else None

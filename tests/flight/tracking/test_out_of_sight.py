@@ -5,11 +5,12 @@ misses people.
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import pytest
 
 from flight.tracking.association import Sighting, follow
-from path.observations import MissReason
+from path.observations import Box, MissReason, Region
 from tests.flight.tracking.test_association import (
     CAMERA,
     PLACE,
@@ -35,6 +36,59 @@ def test_what_was_lately_seen_there_with_another_one_is_not_taken_when_it_is_alo
     alone = FakeView([beside(PLACE, 0.2)], both_ns + round(later_s * SECOND))
     seen = follow(alone, T_N_C, CAMERA, track)
     assert isinstance(seen, Sighting) if found else seen is MissReason.AMBIGUOUS_TARGET
+
+
+@pytest.mark.parametrize(("identity", "found"), [(0.99, True), (0.9, False)])
+def test_the_belief_may_be_sure_of_who_stood_with_others_where_it_was_out_of_sight(
+    identity: float, found: bool
+) -> None:
+    """Hidden for 1.5 s with another one 1.4 m away, D2 never took a target again that stood
+    still.
+    """
+    track = settled(PLACE)
+    track.identity = cast(Any, Believed(identity))
+    seen_ns = track.stamp_ns + round(1.5 * SECOND)
+    track.note_company(seen_ns)
+    seen = follow(FakeView([PLACE, beside(PLACE, 0.9)], seen_ns), T_N_C, CAMERA, track)
+    assert isinstance(seen, Sighting) if found else seen is MissReason.AMBIGUOUS_TARGET
+
+
+class Believed:
+    """A belief that gives every box the same probability."""
+
+    def __init__(self, identity: float) -> None:
+        self._identity = identity
+
+    def region(self, own: Region | None, *_: object) -> Region | None:
+        return own
+
+    def note(self, *_: object) -> None: ...
+
+    def shown(self, _least: float) -> None: ...
+
+    def is_other(self, _box: Box) -> bool:
+        return False
+
+    def of(self, _box: Box) -> float:
+        return self._identity
+
+
+@pytest.mark.parametrize(
+    ("before_m", "reason"),
+    [
+        (0.9, MissReason.OCCLUDED),
+        (0.05, MissReason.NO_TARGET),
+        (-0.5, MissReason.NO_TARGET),
+        (-math.inf, MissReason.NO_TARGET),
+    ],
+)
+def test_a_miss_says_where_depth_shows_something_in_front_of_the_target(
+    before_m: float, reason: MissReason
+) -> None:
+    track = settled(PLACE)
+    _, z_m = FakeView([])._seen(PLACE)
+    view = FakeView([], track.stamp_ns + SECOND // 5, hidden_behind_m=z_m - before_m)
+    assert follow(view, T_N_C, CAMERA, track) is reason
 
 
 @pytest.mark.parametrize(("gap_s", "found"), [(0.3, True), (0.7, False)])
