@@ -248,8 +248,11 @@ class Rendezvous:
         """
         peer = self._peer()
         steepness = self._steepness_rad
-        level_m = distance_m * math.cos(steepness)
         height_m = distance_m * math.sin(steepness)
+        separation = self._config.separation
+        # A camera that looks steeply down would have D2 throw its air onto D1.
+        clear_m = separation.wash_m + separation.wash_per_m * abs(height_m)
+        level_m = max(distance_m * math.cos(steepness), clear_m)
         normal_b = self._mount.T_b_v.R[:, 2]  # of the plate, in D1's body
         facing = math.hypot(float(normal_b[0]), float(normal_b[1]))
         ahead, right = (

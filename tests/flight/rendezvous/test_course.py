@@ -70,6 +70,17 @@ def test_the_stand_off_is_clear_of_the_other_drone_however_the_positions_are_wro
     assert norm(subtract(place, (2.0, 0.0, -1.5))) == pytest.approx(stand_off_m(config))
 
 
+def test_a_camera_that_looks_steeply_down_leads_d2_to_no_place_above_the_other_drone() -> None:
+    apart = MissionConfig().separation
+    guide = rendezvous(MissionConfig(), Seen())
+    guide._steepness_rad = math.radians(85.0)
+    (north, east, down), _ = guide._facing_marker(2.0)
+    height_m = -1.5 - down
+    assert height_m == pytest.approx(2.0 * math.sin(math.radians(85.0)))
+    keep_m = apart.wash_m + apart.wash_per_m * height_m
+    assert math.hypot(north - 2.0, east) == pytest.approx(keep_m)
+
+
 def test_once_the_marker_was_seen_it_says_where_the_sender_is() -> None:
     config = MissionConfig(rendezvous=WRONG)
     seen = Seen(marker_n_m=(2.0, 1.0, 1.0))
