@@ -217,7 +217,7 @@ class RelayReport(Report):
     cpu_s: float = 0.0
 
 
-class RelayHarness(Protocol):
-    def fly(self, request: RelayRequest) -> RelayReport:
-        """Blocks until the relay is over and every drone is down, or the bound on that is over."""
-        ...
+FlyRelay = Callable[[RelayRequest], RelayReport]
+"""A harness's way to fly one: it blocks until the relay is over and every drone is down, or the
+bound on that is over.
+"""

@@ -118,12 +118,17 @@ def derive_rest(
         _wash(drone, found)
     if facts.method.common_view:
         usual_m = facts.method.evidence.offset_sigma_m
-        offset_m = math.hypot(usual_m, COMMON_OFFSET_SHARE * placed.range_m)
+        offset_m = _offset_by_common_view(usual_m, placed)
         found.add("method.evidence.offset_sigma_m", offset_m, "m", "with a pose by common views")
         _common_view(placed, found)
     _blocks(facts, placed, found)
     _rates(facts, found)
     return tuple(found.values)
+
+
+def _offset_by_common_view(offset_m: float, placed: Layout) -> float:
+    """Return by how much D2's box is off where its pose may be by common views."""
+    return math.hypot(offset_m, COMMON_OFFSET_SHARE * placed.range_m)
 
 
 class _Found:
@@ -401,7 +406,7 @@ def _method(facts: Facts, found: _Found) -> None:
         return
     offset_m = predict(facts, placed).offset_sigma_m
     if facts.method.common_view:
-        offset_m = math.hypot(offset_m, COMMON_OFFSET_SHARE * placed.range_m)
+        offset_m = _offset_by_common_view(offset_m, placed)
         _common_view(placed, found)
     found.add("method.evidence.offset_sigma_m", offset_m, "m", "all errors that last, there")
     found.add(

@@ -39,7 +39,9 @@ FrameWriter = SharedCameraWriter | TelloVideo
 
 
 Look = Callable[[], tuple[int, Snapshot] | None]
-"""Gives the truth now, and the stamp of a frame that is taken of it; None while a camera is frozen."""
+"""Gives the truth now, and the stamp of a frame that is taken of it; None while a camera is
+frozen.
+"""
 
 
 class CameraView:

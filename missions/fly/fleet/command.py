@@ -13,7 +13,7 @@ from drivers.interfaces import PartError
 from drivers.rig.parts import Rig, import_factory, with_errors
 from flight.harness.fleet import RelayConfig, TeamConfig
 from flight.harness.flights import Emit
-from flight.harness.relay import RelayField, RelayHarness, RelayRequest
+from flight.harness.relay import FlyRelay, RelayField, RelayRequest
 from missions.fly.fleet.ending import PAGE, SUMMARY, judge, leave
 from missions.fly.fleet.process import flight_of, processes_of
 from missions.fly.fleet.report import name_of, record_of, summary_of
@@ -67,7 +67,7 @@ def fly(
     )
     program = flight_of(rig, config, base)
     name = name_of(config)
-    harness: RelayHarness = import_factory(config.harness, rig.where(f"[{name}] harness"))()
+    fly_it: FlyRelay = import_factory(config.harness, rig.where(f"[{name}] harness"))().fly
 
     async def main(
         ground: RelayField,
@@ -84,7 +84,7 @@ def fly(
     )  # fmt: skip
     logs = ("world", *(drone.name for drone in config.drones))
     with claimed(out, RunKind(f"{name}.json", (SUMMARY, f"{name}.png", PAGE), logs)):
-        report = harness.fly(request)
+        report = fly_it(request)
     outcome, detail = judge(base, report)
     summary = summary_of(rig, options, base, report, outcome, detail)
     return summary, record_of(base, report, outcome)

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from drivers.interfaces import PartError
 from drivers.rig.parts import with_errors
@@ -20,13 +20,16 @@ from missions.ground import rig_library
 from missions.ground.options.proofs import CampaignOptions
 from missions.ground.options.words import LevelName
 from missions.ground.run_folder import claim_result, unless_refused, write_json
-from missions.ground.work import open_work
+from missions.ground.work import Work, open_work
 from missions.look.report.junit import JUnitCase, write_junit
 from missions.proofs.campaign import machine_runs, role_runs, team_runs
 from missions.proofs.campaign.levels import LEVELS
 from missions.proofs.campaign.results import RunLine, resumable_results
 from missions.proofs.campaign.summary import BROKEN, draw_outcomes, summarize, table
 from path.values import frozen
+
+if TYPE_CHECKING:
+    from missions.proofs.campaign.cluster import ClusterWork
 
 SUMMARY = "summary.json"
 PICTURE = "outcomes.png"
@@ -41,17 +44,6 @@ class RunOrder:
     runs: tuple[tuple[LevelName, int], ...]
     errors: str | None = None
     hours: float | None = None
-
-
-class Workers(Protocol):
-    """The workers: this computer's cores, or a cluster's."""
-
-    def stream(
-        self,
-        what: str,
-        piece: Callable[[RunOrder], list[RunLine]],
-        items: Sequence[RunOrder],
-    ) -> Iterator[list[RunLine]]: ...
 
 
 @frozen
@@ -212,7 +204,7 @@ def _replay(options: CampaignOptions, levels: Sequence[LevelName]) -> int:
     return exit_code_of_runs([what.partition(" ")[0] for what in line.violations])
 
 
-def _workers(options: CampaignOptions) -> AbstractContextManager[Workers]:
+def _workers(options: CampaignOptions) -> AbstractContextManager[Work | ClusterWork]:
     if options.cluster is None:
         return open_work(options.jobs)
     from missions.proofs.campaign.cluster import open_cluster  # noqa: PLC0415 (an extra that few install)

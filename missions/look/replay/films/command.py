@@ -62,7 +62,7 @@ def replay_films(options: ReplayOptions, file: Path) -> int:
             "begin_ns": films.begin_ns,
             "end_ns": films.end_ns,
             "gate_complete_ns": complete[0] if complete else None,
-            "frames": {"sender": frames.sender, "receiver": frames.receiver},
+            "frames": {role.value: count for role, count in frames.items()},
         }
         write_json(folder / FILMS, record)
         logs = {role.value: by_topic(folder / f"{role.value}.mcap") for role in Role}

@@ -17,24 +17,16 @@ from missions.look.replay.films.depth_unit import in_millimetres
 from missions.look.replay.films.drones import FilmedReceiver, FilmedSender
 from missions.look.replay.perceive import PerceptionChange, perception_of
 from path.messages import Candidate, Role, Target
-from path.values import frozen
-
-
-@frozen
-class FilmCount:
-    """The frames that were looked at."""
-
-    sender: int
-    receiver: int
 
 
 def play(
     films: Films,
     folder: Path,
     change: PerceptionChange,
-) -> FilmCount:
-    """Both drones' logs of two films, into a folder. Raises PartError for a damaged frame, or a
-    target not there.
+) -> dict[Role, int]:
+    """Write both drones' logs of two films into a folder, and return how many frames were looked at.
+
+    Raises PartError for a damaged frame, or a target not there.
     """
     mission = rig_library.mission_of(films.rig)
     period_ns = round(1e9 / mission.image_hz) if mission.image_hz > 0.0 else 1 << 63
@@ -77,7 +69,7 @@ def play(
     finally:
         for log in logs.values():
             log.close()
-    return FilmCount(counted[Role.SENDER], counted[Role.RECEIVER])
+    return counted
 
 
 def _views(films: Films, change: PerceptionChange) -> Iterator[tuple[int, Role, View]]:
