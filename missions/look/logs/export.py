@@ -104,11 +104,12 @@ def _publish(folder: Path, router: str, *, ros2: bool) -> int:
         *ROS_PARTS,
         install=INSTALL.replace("`ros`: docs/films.md", "`ros-live`: docs/logs.md"),
     )
-    from missions.look.logs.ros2_live import publish  # noqa: PLC0415 (an extra)
+    from missions.look.logs.ros2_live import Topics, publish  # noqa: PLC0415 (an extra)
 
-    sys.stdout.write(f"publishing what is written into {folder} by {router}; Ctrl-C ends\n")
-    sys.stdout.flush()
-    publish(folder, router, lambda: True)
+    with Topics(router) as topics:
+        sys.stdout.write(f"publishing what is written into {folder} by {router}; Ctrl-C ends\n")
+        sys.stdout.flush()
+        publish(folder, topics, lambda: True)
     return 0
 
 

@@ -34,26 +34,16 @@ RELIABLE_LAST_10 = "::,10:,:,:,,"  # its quality of service, where it is not rmw
 _ZENOH: Any = zenoh
 
 
-def publish(folder: Path, router: str, go_on: Callable[[], bool]) -> int:
-    """Publish what is written into a folder for as long as wanted; return how many messages.
-
-    Args:
-        router: where zenoh's router listens, such as ``tcp/127.0.0.1:7447``.
-
-    Raises:
-        PartError: it is no address.
-    """
+def publish(folder: Path, topics: Topics, go_on: Callable[[], bool]) -> None:
+    """Publish what is written into a folder, for as long as wanted."""
     said = Standards()
-    count = 0
-    with closing(FolderFollower(folder)) as follower, Topics(router) as topics:
+    with closing(FolderFollower(folder)) as follower:
         while go_on():
             for each in follower.new():
                 message = _logged(each)
                 for topic, kind, fields in said.of(message):
                     topics.publish(topic, kind, fields, message.utc_ns)
-                    count += 1
             time.sleep(PAUSE_S)
-    return count
 
 
 def _logged(said: Said) -> LoggedMessage:
@@ -62,7 +52,14 @@ def _logged(said: Said) -> LoggedMessage:
 
 
 class Topics:
-    """A node of ROS 2 with a publisher for each topic that was ever published."""
+    """A node of ROS 2 with a publisher for each topic that was ever published.
+
+    Args:
+        router: where zenoh's router listens, such as ``tcp/127.0.0.1:7447``; it may come later.
+
+    Raises:
+        PartError: it is no address.
+    """
 
     def __init__(self, router: str) -> None:
         config = _ZENOH.Config()
@@ -70,9 +67,9 @@ class Topics:
         try:
             config.insert_json5("connect/endpoints", json.dumps([router]))
             self._session = _ZENOH.open(config)
-        except _ZENOH.ZError as error:
+        except _ZENOH.ZError:
             raise PartError(
-                f"--publish {router}: {error}",
+                f"--publish {router}: no address of a router",
                 "write it as tcp/HOST:PORT, such as tcp/127.0.0.1:7447",
             ) from None
         self._types = ros2_types()

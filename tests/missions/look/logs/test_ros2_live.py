@@ -54,7 +54,7 @@ with zenoh.open(config) as session:
 
 def test_a_second_process_hears_every_topic_of_a_flight_while_it_goes(tmp_path: Path) -> None:
     pytest.importorskip("zenoh")
-    from missions.look.logs.ros2_live import publish  # noqa: PLC0415 (an extra)
+    from missions.look.logs.ros2_live import Topics, publish  # noqa: PLC0415 (an extra)
 
     router = f"tcp/127.0.0.1:{free_port()}"
     over = threading.Event()
@@ -67,11 +67,12 @@ def test_a_second_process_hears_every_topic_of_a_flight_while_it_goes(tmp_path: 
             text=True,
         ) as reader,
         little_flight(tmp_path) as flight,
+        Topics(router) as topics,
     ):
         assert reader.stdin is not None and reader.stdout is not None
         assert reader.stdout.readline() == "ready\n"
         beside = threading.Thread(
-            target=publish, args=(tmp_path, router, lambda: not over.is_set()), daemon=True
+            target=publish, args=(tmp_path, topics, lambda: not over.is_set()), daemon=True
         )
         beside.start()
         flight.begin()
@@ -117,3 +118,9 @@ def test_publishing_is_refused_without_what_it_needs(
     with pytest.raises(PartError, match="needs zenoh") as refused:
         export.run(ExportOptions(tmp_path, ros2=True, publish="tcp/127.0.0.1:7447"))
     assert "ros-live" in refused.value.remedy
+
+
+def test_what_is_no_address_of_a_router_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("zenoh")
+    with pytest.raises(PartError, match="--publish nonsense: no address of a router"):
+        export.run(ExportOptions(tmp_path, ros2=True, publish="nonsense"))
