@@ -214,8 +214,8 @@ class YoloxDetector:
         fitted = cv2.resize(part, (w, h), interpolation=cv2.INTER_LINEAR)
         tensor = np.full((1, 3, self._height, self._width), FILL, np.float32)
         tensor[0, :, :h, :w] = fitted.transpose(2, 0, 1)
-        if self._export.rgb:
-            tensor = as_rgb(tensor)
+        if not self._export.is_yolox:
+            tensor = as_rgb(tensor, self._export.scale)
         return tensor, w / width, h / height
 
 

@@ -13,6 +13,7 @@ picture. ``drivers.detectors.yolox`` asks; nothing here looks for objects.
 from __future__ import annotations
 
 import ast
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -43,9 +44,18 @@ LITTLE = 1e-3
 SLACK = 0.01  # of float16, beyond 0..1
 BEYOND = 0.5  # of the image, that a box in shares of it may reach over it
 MOST_LISTED = 1000  # rows of a list; 300 are usual
+TO_ONE = 1.0 / 255.0
+CELLS_A_PX2 = sum(1.0 / stride**2 for stride in STRIDES)
+SQUARE = 0.01  # px, by which a number of cells may miss that of a square input
 OPEN_SIDES = (640, 416)  # tried where an export left its size open and names none
 
 Head = Literal["cells", "pixels", "anchors", "plain", "queries", "listed"]
+KINDS: Mapping[Head, str] = {
+    "pixels": "as of YOLOX",
+    "anchors": "as of YOLOv5 or YOLOv7, with three anchors a cell",
+    "plain": "as of YOLOv8 or YOLO11",
+}
+SEEN = 0.2  # score of the drawn clock from which on a network has seen it
 
 
 @frozen
@@ -58,6 +68,7 @@ class Export:
             classes. "pixels": centre and size in px, objectness, classes; "anchors": three of those
             a cell. "plain": centre and size in px, classes. "queries": that in shares of the input.
             "listed": two corners in px, score, class.
+        scale: times 0..255, what it is given; YOLOX takes BGR, all others RGB.
         turned: a row stands in a column.
         names: of the classes, as the file has them; () where it has none.
     """
@@ -68,11 +79,11 @@ class Export:
     head: Head
     turned: bool = False
     names: tuple[str, ...] = ()
+    scale: float = 1.0
 
     @property
-    def rgb(self) -> bool:
-        """Whether it takes RGB from 0 to 1, as all but YOLOX do, which takes BGR to 255."""
-        return self.head not in ("cells", "pixels")
+    def is_yolox(self) -> bool:
+        return self.head in ("cells", "pixels")
 
 
 def identify(model: OnnxModel, file: Path) -> Export:
@@ -84,17 +95,25 @@ def identify(model: OnnxModel, file: Path) -> Export:
     """
     _check_one(model, file)
     names = _names(model.metadata)
-    sizes = _input_sizes(model.inputs[0], model.metadata, file, _found(model))
+    sizes = _input_sizes(
+        model.inputs[0], model.metadata, model.outputs[0].shape, file, _found(model)
+    )
     if model.outputs[0].kind not in (FLOAT, HALF):
         wanted = "expected an output of float32 or float16"
         raise PartError(f"{file}: {wanted}, {_found(model)}", EXPORT)
     height, width, raw = _tried(model, sizes, file)
     _check_said(model.outputs[0].shape, (1, *raw.shape), file)
     head, turned = _by_shape(raw, height, width, names, f"{file}: {_found(model)}")
+    scale = 1.0
     if head == "cells":
         head = _by_values(raw, height, width, names, file)
-    else:
-        raw = _answer(model, as_rgb(test_picture(height, width)), file)
+    if head not in ("cells", "pixels"):
+        picture = test_picture(height, width)
+        answers = {by: _answer(model, as_rgb(picture, by), file) for by in (TO_ONE, 1.0)}
+        best = {by: _best(answer.T if turned else answer) for by, answer in answers.items()}
+        # most take 0..1; some have that inside, and see nothing in what is as good as black
+        scale = 1.0 if best[1.0] > SEEN > best[TO_ONE] else TO_ONE
+        raw = answers[scale]
     rows = raw.T if turned else raw
     if head in ("plain", "anchors"):
         _check_pixels(rows, height, width, file, head)
@@ -102,37 +121,52 @@ def identify(model: OnnxModel, file: Path) -> Export:
         head = _of_few(rows, file)
     of_class = {"cells": 5, "pixels": 5, "anchors": 5, "plain": 4, "queries": 4}
     classes = len(names) if head == "listed" else rows.shape[1] - of_class[head]
-    return Export(height, width, classes, head, turned, names)
+    return Export(height, width, classes, head, turned, names, scale)
 
 
-def as_rgb(picture: Singles) -> Singles:
-    """Return a picture (1, 3, h, w) of BGR 0..255 as RGB 0..1."""
-    return np.ascontiguousarray(picture[:, ::-1]) / np.float32(255.0)
+def as_rgb(picture: Singles, scale: float) -> Singles:
+    """Return a picture (1, 3, h, w) of BGR 0..255 as RGB, so many times as large."""
+    return np.ascontiguousarray(picture[:, ::-1]) * np.float32(scale)
+
+
+def _best(rows: Singles) -> float:
+    """Return the best score in rows of whichever head, about."""
+    return float(rows[:, 4:].max()) if rows.shape[1] != 6 else float(rows[:, 4].max())
 
 
 def test_picture(height: int, width: int) -> Singles:
-    """Return a picture for a network, (1, 3, h, w) BGR 0..255: slopes of grey with a disc and a
-    plate on them.
+    """Return a picture for a network, (1, 3, h, w) BGR 0..255: a clock, which networks of COCO know,
+    and a plate on slopes of grey.
     """
-    picture = np.zeros((height, width, 3), np.float32)
-    picture[..., 0] = np.linspace(0.0, 255.0, width)
-    picture[..., 1] = np.linspace(0.0, 255.0, height)[:, None]
-    picture[..., 2] = 114.0
-    cv2.circle(
-        picture,
-        (width // 2, height // 2),
-        min(height, width) // 5,
-        (255.0, 255.0, 255.0),
-        -1,
+    picture = np.zeros((height, width, 3), np.uint8)
+    picture[..., 0] = np.linspace(0, 255, width)
+    picture[..., 1] = np.linspace(0, 255, height)[:, None]
+    picture[..., 2] = 114
+    side = min(height, width)
+    middle = (width // 2, height // 2)
+    dark = (20.0, 20.0, 20.0)
+    cv2.circle(picture, middle, side // 4, (250.0, 250.0, 250.0), -1)
+    cv2.circle(picture, middle, side // 4, dark, max(1, side // 55))
+    for hour in range(12):
+        angle = hour * math.pi / 6.0
+        u = middle[0] + 0.2 * side * math.sin(angle) - 0.027 * side
+        v = middle[1] - 0.2 * side * math.cos(angle) + 0.018 * side
+        size = side / 630.0
+        written = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(picture, str(hour or 12), (int(u), int(v)), written, size, dark, 2)
+    thick = max(1, side // 90)
+    cv2.line(picture, middle, (middle[0], int(middle[1] - 0.16 * side)), dark, thick)
+    cv2.line(
+        picture, middle, (int(middle[0] + 0.11 * side), int(middle[1] + 0.07 * side)), dark, thick
     )
     cv2.rectangle(
         picture,
-        (width // 10, height // 10),
-        (width // 4, height // 3),
+        (width // 20, height // 20),
+        (width // 6, height // 5),
         (0.0, 0.0, 0.0),
         -1,
     )
-    return np.ascontiguousarray(picture.transpose(2, 0, 1)[None])
+    return np.ascontiguousarray(picture.transpose(2, 0, 1)[None], np.float32)
 
 
 # --- by shape
@@ -166,6 +200,7 @@ def _names(metadata: Mapping[str, str]) -> tuple[str, ...]:
 def _input_sizes(
     image: Tensor,
     metadata: Mapping[str, str],
+    said: Shape,
     file: Path,
     found: str,
 ) -> list[tuple[int, int]]:
@@ -194,7 +229,12 @@ def _input_sizes(
         raise PartError(f"{file}: {expected}", EXPORT)
     if not isinstance(height, int) or not isinstance(width, int):
         trained = [int(side) for side in re.findall(r"\d+", metadata.get("imgsz", ""))]
-        sides = trained[:1] or list(OPEN_SIDES)
+        rows = [side for side in said if isinstance(side, int)]
+        squares = [math.sqrt(side / CELLS_A_PX2) for side in rows]
+        fitting = [
+            round(side) for side in squares if abs(side - stride * round(side / stride)) < SQUARE
+        ]
+        sides = trained[:1] or fitting[:1] or list(OPEN_SIDES)
         return [(side, trained[1] if len(trained) == 2 else side) for side in sides]
     if height <= 0 or width <= 0 or height % stride or width % stride:
         raise PartError(f"{file}: {expected}", EXPORT)
@@ -352,7 +392,8 @@ def _check_pixels(rows: Singles, height: int, width: int, file: Path, head: Head
     places = _places(height, width, head)
     if not all(_follows(rows[:, axis], places[:, axis]) for axis in (0, 1)):
         raise PartError(
-            f"{file}: its boxes on a test picture do not follow the places of its grid", NO_YOLO
+            f"{file}: its boxes on a test picture do not follow the places of its grid, {KINDS[head]}",
+            NO_YOLO,
         )
     if _follows(rows[:, 2], places[:, 0]) and _follows(rows[:, 3], places[:, 1]):
         raise PartError(f"{file}: its boxes are two corners each, not centre and size", EXPORT)
@@ -376,7 +417,7 @@ def _of_few(rows: Singles, file: Path) -> Head:
     if float(rows[:, :4].min()) < -SLACK or float(rows[:, :4].max()) > 1.0 + BEYOND:
         raise PartError(
             f"{file}: {len(rows)} rows of {rows.shape[1]} numbers on a test picture are neither a list of boxes, scores"
-            " and classes, nor boxes in shares of the image as of RT-DETR",
+            " and classes, as with suppression (NMS) inside or of YOLOv10, nor in shares of the image as of RT-DETR",
             NO_YOLO,
         )
     _check_scores(rows, file)

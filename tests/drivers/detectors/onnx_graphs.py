@@ -126,3 +126,19 @@ def fixed_network(
         model += field(14, field(1, key) + field(2, value))
     file.write_bytes(model)
     return file
+
+
+def lit_network(file: Path, boxes: NDArray[np.float32], scores: NDArray[np.float32]) -> Path:
+    """A network whose scores are ``scores`` times the mean of its input: boxes (1, 4, n), scores (1,
+    classes, n).
+    """
+    nodes = [
+        _node("ReduceMean", ["x"], "light", keepdims=0),
+        _node("Mul", ["s", "light"], "lit"),
+        _node("Concat", ["b", "lit"], "y", axis=1),
+    ]
+    shape = (1, boxes.shape[1] + scores.shape[1], boxes.shape[2])
+    constants = [_constant("b", boxes), _constant("s", scores)]
+    image = _value("x", (1, 3, 256, 256))
+    file.write_bytes(_model(nodes, constants, [image], [_value("y", shape)]))
+    return file

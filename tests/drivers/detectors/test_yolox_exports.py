@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drivers.detectors.yolox import YoloxDetector, YoloxDetectorConfig
 from drivers.detectors.yolox_boxes import grid
 from drivers.interfaces import PartError
-from tests.drivers.detectors.onnx_graphs import HALF, UINT8, fixed_network
+from tests.drivers.detectors.onnx_graphs import HALF, UINT8, fixed_network, lit_network
 
 Floats = NDArray[np.float32]
 
@@ -84,7 +84,7 @@ def detector(file: Path) -> YoloxDetector:
     return YoloxDetector(YoloxDetectorConfig(file))
 
 
-@pytest.mark.parametrize("kind", ["float32", "float16", "a batch of any size"])
+@pytest.mark.parametrize("kind", ["float32", "float16", "a batch of any size", "any size"])
 @pytest.mark.parametrize("decoded", [False, True], ids=["plain", "decoded inside"])
 def test_an_export_of_yolox_gives_the_same_box_in_whichever_form_it_is(
     tmp_path: Path, decoded: bool, kind: str
@@ -94,6 +94,8 @@ def test_an_export_of_yolox_gives_the_same_box_in_whichever_form_it_is(
         options["kind"] = HALF
     if kind == "a batch of any size":
         options["shape"] = ("batch", 3, SIDE, SIDE)
+    if kind == "any size":  # its rows tell which one
+        options["shape"] = ("batch", 3, "height", "width")
     file = fixed_network(tmp_path / "m.onnx", in_pixels() if decoded else in_cells(), **options)
     (found,) = detector(file).detect(IMAGE, None)
     assert found.box.center == pytest.approx((44.0 - 0.5, 28.0 - 0.5), abs=0.05)
@@ -271,3 +273,10 @@ def test_yolox_takes_bgr_to_255_and_the_others_rgb_to_one(tmp_path: Path) -> Non
         seen.append(own._letterboxed(image)[0][0, :, 9, 9])  # pyright: ignore[reportPrivateUsage]
     assert seen[0].tolist() == [255.0, 0.0, 51.0]
     assert seen[1].tolist() == pytest.approx([0.2, 0.0, 1.0])
+
+
+def test_an_export_that_scales_the_image_itself_is_told_by_what_it_sees(tmp_path: Path) -> None:
+    rows = HEADS["v8"]
+    file = lit_network(tmp_path / "m.onnx", rows[:, :4].copy(), rows[:, 4:] / 230.0)
+    (found,) = detector(file).detect(IMAGE + 200, None)
+    assert found.box.center == pytest.approx((44.0 - 0.5, 28.0 - 0.5), abs=0.1)
