@@ -170,6 +170,8 @@ class GuardConfig:
     corners_m: Annotated[tuple[tuple[float, float], ...], Bounds(-1000.0, 1000.0)] = ()
     # what stands in the way, as far as the crew knows
     obstacles: tuple[Obstacle, ...] = ()
+    # more may stand there: drones keep off what their depth cameras see
+    unmeasured: bool = False
     # from walls and obstacles, besides a body's radius: how far a drone wanders, and what its
     # positions are worth
     clear_m: Annotated[float, Bounds(0.0, 50.0)] = 0.0

@@ -109,6 +109,7 @@ class SiteFacts:
         position_m: standard deviation per axis of where the drones take themselves to be in flight;
             walls and obstacles are kept from by twice that besides.
         obstacles: what stands in the way, as far as the crew knows.
+        unmeasured: more may stand there: drones keep off what their depth cameras see.
     """
 
     wind_mps: Annotated[float, Bounds(0.0, 30.0)] = 1.5
@@ -117,6 +118,7 @@ class SiteFacts:
     ceiling_m: Annotated[float | None, Bounds(1.0, 120.0)] = None
     position_m: Annotated[float, Bounds(0.0, 20.0)] = 0.5
     obstacles: tuple[Obstacle, ...] = ()
+    unmeasured: bool = False
 
 
 @frozen

@@ -77,13 +77,15 @@ def _with_site(mission: dict[str, Any], rig: Rig) -> dict[str, Any]:
     if site is None:
         return mission
     drone = rig.drone or DroneFacts()
-    has_limits = site.corners_m or site.obstacles
+    has_limits = site.corners_m or site.obstacles or site.unmeasured
     if has_limits and "mission.guard.clear_m" not in rig.named:
         mission = _with(mission, "guard.clear_m", drone.hold_m + POSITION_SIGMAS * site.position_m)
     if site.corners_m and "mission.guard.corners_m" not in rig.named:
         mission = _with(mission, "guard.corners_m", site.corners_m)
     if site.obstacles and "mission.guard.obstacles" not in rig.named:
         mission = _with(mission, "guard.obstacles", [asdict(each) for each in site.obstacles])
+    if site.unmeasured and "mission.guard.unmeasured" not in rig.named:
+        mission = _with(mission, "guard.unmeasured", True)
     if site.ceiling_m is not None and "mission.guard.fence_height_m" not in rig.named:
         mission = _with(mission, "guard.fence_height_m", site.ceiling_m)
     return mission

@@ -73,6 +73,7 @@ STATED_ELSEWHERE = frozenset(
         "mission.guard.corners_m",
         "mission.guard.clear_m",
         "mission.guard.obstacles",
+        "mission.guard.unmeasured",
         "mission.follow.response_s",
         "mission.separation.horizontal_m",
         "mission.separation.vertical_m",

@@ -36,8 +36,9 @@ def setup_record(
     own, peer = (rig.sender, rig.receiver) if role is Role.SENDER else (rig.receiver, rig.sender)
     origin = rig.origin
     mission = asdict(config)
-    if not config.guard.obstacles:
-        del mission["guard"]["obstacles"]
+    for key in ("obstacles", "unmeasured"):
+        if not mission["guard"][key]:
+            del mission["guard"][key]
     return {
         "role": role.value,
         "rig": rig.name,

@@ -163,6 +163,7 @@ class Receiver:
         self._rendezvous.fence = session.fence
 
         session.spawn(self._watch())
+        await session.look_about()
         if self._common is not None:
             session.spawn(self._common.run())
         await self._find_marker(self._near)
@@ -395,6 +396,9 @@ class Receiver:
             session.log.write("/frame", view.stamp_ns, record)
             R_n_b = self._camera_pose.R_n_b(view.stamp_ns)
             self._rendezvous.tilt.note(R_n_b)
+            if guard.unmeasured:
+                session.note_standing(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b))
+                self._rendezvous.fence = session.fence
             if self._leaving:
                 self._look_out(view, R_n_b)
                 await asyncio.sleep(1.0 / self._config.status_hz)

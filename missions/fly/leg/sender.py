@@ -133,8 +133,9 @@ class Sender:
         session = self._session
         deadlines = self._config.deadlines
         session.enter(Phase.ACQUIRE)
-        session.pilot.guidance = self._to_first_place
         session.spawn(self._watch())
+        await session.look_about()
+        session.pilot.guidance = self._to_first_place
         listening = session.spawn(self._designating.listen())
         await self._until_acquired(deadlines.acquire_s)
         listening.cancel()
@@ -447,6 +448,8 @@ class Sender:
             self._tilt.note(R_n_b)
             self._note_ground()
             session.note_steps()  # before what this frame shows is added to what others showed
+            if self._config.guard.unmeasured:
+                session.note_standing(view, self._camera_pose.T_n_c(view.stamp_ns, R_n_b))
             if self._leaving:
                 self._look_out(view, R_n_b)
                 await asyncio.sleep(1.0 / self._config.status_hz)

@@ -5,6 +5,7 @@ mission.
 from __future__ import annotations
 
 import asyncio
+import math
 import random
 import sys
 import traceback
@@ -25,6 +26,9 @@ from drivers.interfaces import (
     TakenOver,
     Vehicle,
     VehicleError,
+    VehicleState,
+    VelocitySetpoint,
+    View,
 )  # fmt: skip
 from drivers.link.flood import LinkAlarm
 from drivers.operator.interfaces import Operator
@@ -35,9 +39,10 @@ from flight.config import MissionConfig, off_from
 from flight.fence import Fence
 from flight.ground_below import GroundBelow
 from flight.guard.under_guard import UnderGuard
-from flight.guidance import Vec3, add, subtract
+from flight.guidance import Anchor, Vec3, add, subtract
 from flight.harness.flights import Emit, Progress
 from flight.keep_out import Body
+from flight.obstacles.seen import SeenObstacles, points_seen
 from flight.outcome import MissionEnd, Outcome, name_of
 from flight.phases import Phase
 from flight.pilot import Pilot
@@ -48,7 +53,8 @@ from missions.fly.leg.guarding import Guarding
 from missions.ground.journal import estimator_step_record, peer_record
 from path.alike import Alike
 from path.gate.window import Evidence
-from path.geometry.rotation import yaw_of
+from path.geometry.rotation import wrapped, yaw_of
+from path.geometry.transforms import Pose
 from path.messages import STEPS, Ping, Pong, Role, Status
 from path.protocol.values import TakeResponsibility
 
@@ -56,6 +62,11 @@ Result = TypeVar("Result")
 
 _NO_STAGE = nullcontext()
 _POLL_S = 0.05
+# of what a drone sees standing about: times its diameter, of a cell, and of what is tall
+_CELL = 0.4
+_TALL = 0.6
+_STANDING_NS = 250_000_000
+_ABOUT_S = 6.0  # once round
 _GOODBYES = 5
 _GOODBYE_S = 0.05
 _PROGRESS_PERIOD_S = 0.2
@@ -115,6 +126,12 @@ class RoleSession:
         self.frames = Frames(self.perception, self.clock, config, log)
         self.pilot = Pilot(self.vehicle, self.clock, config, log, guard)
         self.alignment = ClockAlignment(ClockConfig(max_uncertainty_s=config.clock_uncertainty_s))
+        self._site = self.pilot.fence  # without what this drone sees
+        self._standing: SeenObstacles | None = None
+        if config.guard.unmeasured:
+            wide_m = config.separation.horizontal_m
+            self._standing = SeenObstacles(_CELL * wide_m, _TALL * wide_m)
+        self._stood_ns = 0
         self.phase = Phase.PREFLIGHT
         self.shown = ConsoleLine()
         self.peer: Status | None = None
@@ -152,6 +169,44 @@ class RoleSession:
         """Return the space in which this drone may be, in its own coordinates."""
         return self.pilot.fence
 
+    def note_standing(self, view: View, T_n_c: Pose) -> None:
+        """Keep off what this drone's depth camera sees standing about, where a site is not all
+        measured.
+        """
+        standing = self._standing
+        due_ns = self._stood_ns + _STANDING_NS
+        if standing is None or not self.pilot.in_control or view.stamp_ns < due_ns:
+            return
+        self._stood_ns = view.stamp_ns
+        bodies = self.bodies()
+        apart_m = self.config.separation.minimum_m
+        moving = [(*body.place_n_m[:2], apart_m + body.half_m) for body in bodies]
+        if self.peer is not None:
+            north, east, _ = self.here(self.peer).position_n_m
+            unsure_m = self.config.rendezvous.positions_within_m
+            moving.append((north, east, apart_m + unsure_m))
+        standing.note(points_seen(view, self.own.camera, T_n_c), moving)
+        north, east, _ = self.vehicle.state.position_n_m
+        seen = standing.obstacles((north, east))
+        self.pilot.fence = replace(self._site, obstacles=(*self._site.obstacles, *seen))
+
+    async def look_about(self) -> None:
+        """Turn once round on the spot, where a site is not all measured: a camera sees only what is
+        ahead.
+        """
+        if self._standing is None:
+            return
+        state = self.vehicle.state
+        here = Anchor(state.position_n_m, yaw_of(state.q_n_b))
+        began_ns = self.now_ns()
+
+        def turning(state: VehicleState) -> VelocitySetpoint:
+            turned_rad = math.tau * (self.now_ns() - began_ns) * 1e-9 / _ABOUT_S
+            return replace(here.hold(state), yaw_rad=wrapped(here.yaw_rad + turned_rad))
+
+        self.pilot.guidance = turning
+        await asyncio.sleep(_ABOUT_S)
+
     # --- time and waiting
 
     def now_ns(self) -> int:
@@ -161,7 +216,7 @@ class RoleSession:
         """Takes what this drone's position is off, where it stands, for what it will be off."""
         north, east = off_from(home_m, self.vehicle.state.position_n_m)
         self.off_n_m = (north, east, 0.0)
-        self.pilot.fence = self.config.fence.shifted(north, east)
+        self._site = self.pilot.fence = self.config.fence.shifted(north, east)
         self._here = None
         self.log.write("/home", self.now_ns(), {"off_m": (north, east)})
         self.note_ground()  # it stands on it

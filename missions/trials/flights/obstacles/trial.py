@@ -1,5 +1,5 @@
 """Whole hand-overs among obstacles: worlds by seed, flown by drones whose crew measured what stands
-there, and flown straight.
+there, by drones that see it, and straight.
 """
 
 from __future__ import annotations
@@ -42,12 +42,14 @@ POSITION_M = 0.25
 MOST_PLANNING_MS = 20.0
 PLANS = 200
 AREA_M = 12.0
-How = Literal["around", "straight"]
+How = Literal["around", "looking", "straight"]
 
 
 @frozen
 class Order:
-    """One flight to fly: ``around`` what its crew knows, or ``straight`` through the same world."""
+    """One flight to fly: ``around`` what its crew knows, ``looking`` out for what nobody knows, or
+    ``straight`` through the same world.
+    """
 
     rig: Rig
     seed: int
@@ -84,14 +86,23 @@ def run(request: TrialRequest) -> TrialResult:
         orders.append(Order(rig, seed, "around", request.out / f"{seed}-around"))
         rig = not_knowing(request.rig, obstacles)
         orders.append(Order(rig, seed, "straight", request.out / f"{seed}-straight"))
+        orders.append(Order(looking(rig), seed, "looking", request.out / f"{seed}-looking"))
     flown = request.work.map("hand-overs flown", fly_order, orders)
     return result(flown, float(np.percentile(plans_ms, 99)))
 
 
 def knowing(rig: Rig, obstacles: tuple[Obstacle, ...]) -> Rig:
     """Return a rig whose crew measured the obstacles. Raises RigError."""
-    site = replace(rig.site or SiteFacts(position_m=POSITION_M), obstacles=obstacles)
-    return complete(replace(rig, site=site))
+    return complete(replace(rig, site=replace(_site(rig), obstacles=obstacles)))
+
+
+def looking(rig: Rig) -> Rig:
+    """Return a rig whose drones keep off what they see. Raises RigError."""
+    return complete(replace(rig, site=replace(_site(rig), unmeasured=True)))
+
+
+def _site(rig: Rig) -> SiteFacts:
+    return rig.site or SiteFacts(position_m=POSITION_M)
 
 
 def not_knowing(rig: Rig, obstacles: tuple[Obstacle, ...]) -> Rig:
@@ -124,9 +135,10 @@ def planned_ms(fence: Fence, seed: int) -> list[float]:
 
 def result(flown: Sequence[Flown], p99_ms: float) -> TrialResult:
     """Return the result of so many flights."""
-    around, straight = ([each for each in flown if each.how == how] for how in get_args(How))
+    ways = {how: [each for each in flown if each.how == how] for how in get_args(How)}
+    around = ways["around"]
     committed = sum(each.committed for each in around)
-    rate = committed / len(around)
+    rate = _rate(around)
     low, high = wilson(committed, len(around))
     touched = _touches(around)
     wrong = sum(each.wrong for each in flown)
@@ -139,10 +151,13 @@ def result(flown: Sequence[Flown], p99_ms: float) -> TrialResult:
             verdict=verdict(rate >= COMMIT_RATE),
         ),
         TrialFinding("obstacles touched", str(touched), goal="0", verdict=verdict(touched == 0)),
-        TrialFinding(
-            "the same worlds, flown straight: committed without a touch",
-            f"{sum(each.committed for each in straight) / len(straight):.1%}",
-            note=f"{_touches(straight)} obstacles touched",
+        *(
+            TrialFinding(
+                f"the same worlds unknown, flown {how}: committed without a touch",
+                f"{_rate(ways[how]):.1%}",
+                note=f"{_touches(ways[how])} obstacles touched",
+            )
+            for how in ("looking", "straight")
         ),
         TrialFinding("wrong objects", str(wrong), goal="0", verdict=verdict(wrong == 0)),
         TrialFinding(
@@ -156,15 +171,21 @@ def result(flown: Sequence[Flown], p99_ms: float) -> TrialResult:
         "worlds": len(around),
         "commit_rate": rate,
         "commit_interval": [low, high],
-        "commit_rate_before": sum(each.committed for each in straight) / len(straight),
+        "commit_rate_looking": _rate(ways["looking"]),
+        "commit_rate_before": _rate(ways["straight"]),
         "collisions": touched,
-        "collisions_before": _touches(straight),
+        "collisions_looking": _touches(ways["looking"]),
+        "collisions_before": _touches(ways["straight"]),
         "wrong": wrong,
         "planning_p99_ms": p99_ms,
         "not_committed": {each.seed: each.outcome for each in around if not each.committed},
     }
     violations = sum((each.violations for each in around), Counter[str]())
     return TrialResult(summary, findings, tables=(_ends(flown),), violations=violations)
+
+
+def _rate(flown: Sequence[Flown]) -> float:
+    return sum(each.committed for each in flown) / len(flown)
 
 
 def _touches(flown: Sequence[Flown]) -> int:

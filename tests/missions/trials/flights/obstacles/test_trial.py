@@ -13,7 +13,13 @@ from missions.ground import rig_library
 from missions.ground.rig_library import mission_of
 from missions.ground.work import open_work
 from missions.trials.flights.obstacles import trial
-from missions.trials.flights.obstacles.trial import Flown, Order, knowing, not_knowing
+from missions.trials.flights.obstacles.trial import (
+    Flown,
+    Order,
+    knowing,
+    looking,
+    not_knowing,
+)
 from missions.trials.shared.trial import TrialRequest
 
 
@@ -25,6 +31,11 @@ def test_the_same_obstacles_stand_in_both_worlds_and_one_crew_knows_them() -> No
     assert around.world["obstacles"] == straight.world["obstacles"]
     assert mission_of(around).fence.obstacles == obstacles
     assert mission_of(straight).fence.obstacles == ()
+    assert not mission_of(straight).guard.unmeasured
+    seeing = looking(straight)
+    assert seeing.world["obstacles"] == straight.world["obstacles"]
+    assert mission_of(seeing).guard.unmeasured
+    assert mission_of(seeing).fence.obstacles == ()
 
 
 def test_commits_touches_and_planning_are_told_beside_straight_flights(
@@ -44,6 +55,7 @@ def test_commits_touches_and_planning_are_told_beside_straight_flights(
     assert (told["worlds"], told["collisions"], told["collisions_before"]) == (4, 0, 4)
     assert (told["commit_rate"], told["commit_rate_before"]) == (1.0, 0.5)
     assert 0.0 < told["planning_p99_ms"] < 200.0
+    assert (told["commit_rate_looking"], told["collisions_looking"]) == (1.0, 0)
     assert not found.violations
 
 
