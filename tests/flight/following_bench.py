@@ -205,7 +205,7 @@ def follow_course(
             waiting.append((now_ns + round(0.5e9 * late_s), last))
         while waiting and waiting[0][0] <= now_ns:
             command[0, 1:4] = waiting.popleft()[1].velocity_n_mps
-        fly(state, command, winds, none, none, airframe.row(), STEP_S, 1)
+        fly(state, command, winds, none, none, none, airframe.row(), STEP_S, 1)
     table = np.array([row[:3] for row in rows])
     return Followed(
         table[:, 0],
