@@ -218,15 +218,13 @@ class Identity:
         share = _ELSEWHERE * (1.0 if detection.score >= MIN_SCORE else _POOR)
         view_m3 = camera.width * camera.height * z_m**3 / (camera.fx * camera.fy)
         side_sigma = math.hypot(2.0 * BOX_SIGMA_PX / max(1.0, min(box.w, box.h)), along_m / z_m)
-        cut = (
-            any(cut_sides(box.x, box.w, camera.width)),
-            any(cut_sides(box.y, box.h, camera.height)),
-        )
+        left, right = cut_sides(box.x, box.w, camera.width)
+        top, bottom = cut_sides(box.y, box.h, camera.height)
         place = T_n_c.apply(np.array((x * z_m, y * z_m, z_m)))
         return Measured(
             place_m=place, covariance_m2=covariance, eye_m=T_n_c.t, axes=T_n_c.R, sides_m=(wide_m, high_m),
             side_sigma=side_sigma, most_m=most, elsewhere_m3=share / view_m3, newcomers_m3_s=_NEWCOMERS_HZ / view_m3,
-            cut=cut,
+            cut_edges=((left, top), (right, bottom)),
         )  # fmt: skip
 
 

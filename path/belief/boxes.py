@@ -17,10 +17,10 @@ Of such a box each edge is of the one that surely reaches farthest there, and gi
 
     middle = edge -+ side / 2
 
-and its depth is of the one that is surely the nearest. Where it is not known who that is, an object
-is anywhere in the box, at the range at which it was. A side that the image's border cuts has no
-edge of anybody, and is a lower bound: P(side >= box) takes the place of the density of the side,
-and nothing smaller is learnt from it.
+and its depth is of the one that is surely the nearest, or else of the one whose the box surely is.
+Where neither is known, an object is anywhere in the box, at the range at which it was. An edge that
+the image's border cuts is of nobody, and its side a lower bound: P(side >= box) takes the place of
+the density of the side, and nothing smaller is learnt from it.
 
 A side is as uncertain as an object may have turned since it was seen. Where a box holds somebody
 else, whom no other box shows, what it is larger by is that one's: d is all that exceeds the
@@ -51,6 +51,7 @@ _SIZE_DENSITY = 0.5  # of a side's logarithm, of anything: between 1 / e and e t
 # the share of an axis' variance with which a measurement along it counts for nothing
 _NOTHING = 1e-4
 _NOWHERE_ELSE = np.zeros((3, 3))
+_WHOLE = ((False, False), (False, False))
 
 
 @value
@@ -67,7 +68,8 @@ class Measured:
             is not known.
         elsewhere_m3: density per m^3 of boxes of nothing that is known, inventions among them.
         newcomers_m3_s: of objects that come into view, per m^3 and s.
-        cut: whether the image's border cuts its width, and its height: the object is larger.
+        cut_edges: whether the image's border cuts it where its width and its height begin, and
+            where they end.
     """
 
     place_m: Array
@@ -79,7 +81,13 @@ class Measured:
     most_m: tuple[float, float]
     elsewhere_m3: float
     newcomers_m3_s: float
-    cut: tuple[bool, bool] = (False, False)
+    cut_edges: tuple[tuple[bool, bool], tuple[bool, bool]] = _WHOLE
+
+    @property
+    def cut(self) -> tuple[bool, bool]:
+        """Return whether its width is cut, and its height: the object is larger."""
+        (left, top), (right, bottom) = self.cut_edges
+        return left or right, top or bottom
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,19 +108,26 @@ class Fit:
     larger: bool
 
 
-def fit_of(track: ObjectTrack, measured: Measured, others: Sequence[ObjectTrack] = ()) -> Fit:
+def fit_of(
+    track: ObjectTrack,
+    measured: Measured,
+    others: Sequence[ObjectTrack] = (),
+    *,
+    its_own: bool = True,
+) -> Fit:
     """Return how a measurement is of a track's object.
 
     Args:
         others: those who are in its box too, and not shown otherwise: what it is larger by than the
             object was is theirs, and the object need not have turned.
+        its_own: the box is surely of this one, rather than of one of those.
     """
     turned = 0.0 if others else 1.0
     beyond, larger = _beyond(
         track.log_sides, turned * track.size_variances, measured.sides_m, measured.side_sigma, measured.most_m,
     )  # fmt: skip
     if others and larger:
-        return held(track, measured, others, beyond, its_own=True)
+        return held(track, measured, others, beyond, its_own=its_own)
     if not beyond.any():
         return Fit(measured.place_m, _NOWHERE_ELSE, measured.covariance_m2, larger=False)
     noise = measured.covariance_m2 + _bounded(track.motion, beyond, measured.axes)
@@ -136,7 +151,7 @@ def _beyond(
         expected = min(math.exp(log_sides[k]), most_m[k])
         smallest[k] = expected / factor
         more = max(sides_m[k] - min(factor * expected, most_m[k]), 0.0)
-        beyond[k] = max(smallest[k] - sides_m[k], more)
+        beyond[k] = expected - sides_m[k] if smallest[k] > sides_m[k] else more
         larger |= more > 0.0
     if larger:  # it may be as small as that, anywhere in there
         for k in range(2):
@@ -160,7 +175,7 @@ def held(
     Args:
         others: who else is in it; none where the box is as large as one, and hides the object.
         beyond_m: by how much its middle is unknown, right and down, where no edge is its own.
-        its_own: the box is rather of this one, which is the nearest unless another surely is.
+        its_own: the box is of this one, which is the nearest unless another surely is.
     """
     motion = track.motion
     ahead = around.axes[:, 2]
@@ -194,8 +209,7 @@ def _parted(
     down, and by how much that is unknown, all at the box's range.
     """
     low, high, variances = _edges(track, measured)
-    first = ~np.asarray(measured.cut) & bool(others)
-    last = first.copy()
+    first, last = ~np.asarray(measured.cut_edges) & bool(others)
     for other in others:
         low_other, high_other, variances_other = _edges(other, measured)
         unsure = _SURE * np.sqrt(variances + variances_other)

@@ -15,6 +15,7 @@ GATE2 = (2.0 * ODD_TIMES) ** 2
 """The squared distance from which on a box is of something else, however odd it may be."""
 SHOWN = 0.9
 """The probability that a detector shows an object that it showed in the frame before."""
+_ITS_OWN = 0.9  # of what a box may be of: the share from which on its depth is of whom it is given
 _IN_IT = 0.25  # within a box's width and within its height, as likely as not
 
 
@@ -52,7 +53,10 @@ class Frame:
                 continue
             others = self._others(tracks, k, column)
             if others:
-                self.fits[k][column] = fit_of(tracks[k], measured[column], others)
+                share = self.marginals[k, column] / self.marginals[:, column].sum()
+                its_own = bool(share >= _ITS_OWN)
+                fit = fit_of(tracks[k], measured[column], others, its_own=its_own)
+                self.fits[k][column] = fit
             if self.fits[k][column].larger:
                 self.together.add(column)
         self.held = [self._held(tracks, i, column) for i, column in enumerate(self.holders)]

@@ -12,6 +12,7 @@ import pytest
 
 from path.belief import boxes as file
 from path.belief.boxes import Measured
+from path.belief.frame import Frame
 from path.belief.motion import Motion
 from path.belief.objects import Belief
 from path.belief.track import ObjectTrack
@@ -77,7 +78,7 @@ def test_in_a_larger_box_there_is_something_else_and_the_object_anywhere_in_it()
 
 def test_in_a_smaller_box_a_part_of_the_object_is_hidden() -> None:
     fit = file.fit_of(track(), measured((0.1, 0.4)))
-    beyond = np.array([0.3 / FACTOR - 0.1, 0.0])
+    beyond = np.array([0.3 - 0.1, 0.0])
     assert not fit.larger
     np.testing.assert_allclose(fit.within_m2, file.within(beyond, TURNED))
 
@@ -240,11 +241,18 @@ def test_an_edge_of_a_box_of_two_is_of_the_one_that_surely_reaches_farther_there
 @pytest.mark.parametrize("why", ["it may be the other one's", "the border cuts the box"])
 def test_where_an_edge_is_surely_nobody_s_one_is_anywhere_in_the_box(why: str) -> None:
     cut = why == "the border cuts the box"
-    around = replace(box(0.15, wide_m=0.7), cut=(cut, False))
+    around = replace(box(0.15, wide_m=0.7), cut_edges=((cut, False), (False, False)))
     sigma_m = 0.02 if cut else 0.2
     fit = file.held(beside(-0.1, sigma_m), around, [beside(0.3, sigma_m)], np.array([0.4, 0.0]))
     assert fit.place_m[1] == pytest.approx(0.15)
     assert math.sqrt(fit.within_m2[1, 1]) == pytest.approx(0.2)
+
+
+def test_a_border_that_cuts_one_edge_leaves_the_other_to_whom_it_is_of() -> None:
+    around = replace(box(0.15, wide_m=0.7), cut_edges=((True, False), (False, False)))
+    fit = file.held(beside(0.3), around, [beside(-0.1)], np.array([0.4, 0.0]))
+    assert fit.place_m[1] == pytest.approx(0.35)
+    assert around.cut == (True, False)
 
 
 def test_how_far_off_a_box_is_it_says_of_the_nearest_in_it() -> None:
@@ -261,11 +269,29 @@ def test_how_far_off_a_box_is_it_says_of_the_nearest_in_it() -> None:
     assert file.held(far, around, [near], beyond, its_own=True).place_m[0] == pytest.approx(2.1)
 
 
+@pytest.mark.parametrize(("sigma_m", "moved"), [(0.1, True), (2.0, False)])
+def test_a_box_that_may_as_well_be_the_other_one_s_moves_neither_to_its_range(
+    sigma_m: float, moved: bool
+) -> None:
+    """A box twice as high as one is; of the farther one it is hardly less likely, or surely not."""
+    around = box(0.0, high_m=0.7, north_m=2.5)
+    near, far = beside(0.0, north_m=2.9), beside(0.0, north_m=5.0)
+    near.motion.covariance[0, 0] = 0.4**2
+    far.motion.covariance[0, 0] = sigma_m**2
+    frame = Frame([near, far], [around], lambda _: True, 0.02)
+    assert frame.together == {0}
+    own = [pair[1] for k in range(2) if (pair := frame.fit(k)) is not None]
+    held = [fit for fit in frame.held if fit is not None]
+    assert len(own) == len(held) == 1
+    assert own[0].place_m[0] == pytest.approx(2.5 if moved else 2.9)
+    assert held[0].place_m[0] == pytest.approx(5.0)
+
+
 def test_a_cut_side_is_as_likely_as_the_object_is_so_large_at_least() -> None:
     own = track()
     whole = file.size_fits(own, measured((0.3, 0.4)))
     for cut_m, likely in ((0.3, 0.5), (0.03, 1.0), (3.0, 0.0)):
-        cut = file.size_fits(own, measured((cut_m, 0.4), cut=(True, False)))
+        cut = file.size_fits(own, measured((cut_m, 0.4), cut_edges=((True, False), (False, False))))
         density = math.sqrt(whole)  # of the other side
         assert cut / density == pytest.approx(likely, abs=2e-3)
 

@@ -171,7 +171,7 @@ def test_a_box_that_the_border_cuts_teaches_no_smaller_size() -> None:
     belief, stamp_ns = begun()
     for _ in range(100):
         stamp_ns += FRAME_NS
-        cut = replace(box(0.0, high_m=0.2), cut=(False, True))
+        cut = replace(box(0.0, high_m=0.2), cut_edges=((False, True), (False, False)))
         belief.update([cut], EVERYWHERE, stamp_ns)
     whole = belief.tracks[0]
     np.testing.assert_allclose(np.exp(whole.log_sides), SIDE_M, rtol=0.05)
@@ -185,7 +185,7 @@ def test_one_that_comes_in_over_the_border_is_as_large_as_it_turns_out() -> None
     for k in range(50):
         stamp_ns += FRAME_NS
         high_m = 0.05 + 0.25 * min(1.0, k / 30.0)
-        coming = replace(box(1.0, high_m=high_m), cut=(False, k < 30))
+        coming = replace(box(1.0, high_m=high_m), cut_edges=((False, k < 30), (False, False)))
         belief.update([box(0.0), coming], EVERYWHERE, stamp_ns)
     assert len(belief.tracks) == 2
     np.testing.assert_allclose(np.exp(belief.tracks[1].log_sides), SIDE_M, rtol=0.05)
