@@ -512,6 +512,9 @@ class Sender:
         self._track = track
         here = self._session.vehicle.state.position_n_m
         self._heading_rad = self._look_round.found(here, taken.position_n_m)
+        if self._session.fence.obstacles:
+            # From the side where it was led to: the way round to another could pass the target.
+            self._heading_rad = bearing(subtract(taken.position_n_m, here))
 
     def _place_to_look_at(self, now_ns: int) -> tuple[Vec3, float]:
         """The place to look at until there is a target, and how many times as far off as usual."""
