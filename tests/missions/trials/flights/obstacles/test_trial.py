@@ -62,7 +62,7 @@ def test_commits_touches_and_planning_are_told_beside_straight_flights(
 def test_a_pair_that_knows_its_obstacles_flies_around_them(tmp_path: Path) -> None:
     """The same world, flown straight, has two touches."""
     rig = rig_library.load("sim")
-    rig = knowing(rig, drawn_obstacles(rig, trial.OBSTACLES, 103))
-    flown = trial.fly_order(Order(rig, 103, "around", tmp_path / "around"))
+    rig = knowing(rig, drawn_obstacles(rig, trial.OBSTACLES, 104))
+    flown = trial.fly_order(Order(rig, 104, "around", tmp_path / "around"))
     assert flown.outcome == "committed"
     assert not flown.violations
