@@ -69,7 +69,7 @@ def held(record: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def test_a_target_goes_round_without_a_break(rig: Rig, tmp_path: Path) -> None:
-    summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.025)
+    summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.03)
     assert (summary["outcome"], summary["monitors"]) == ("committed", {})
     assert held(record) == [("D1", "D2"), ("D2", "D3")]
     assert all(leg["gap_s"] < 0.1 for leg in record["legs"])
@@ -111,7 +111,7 @@ def test_a_relief_that_dies_on_its_way_is_replaced_by_the_next(rig: Rig, tmp_pat
 def test_a_program_that_dies_between_holding_and_offering_finds_itself_responsible(
     rig: Rig, tmp_path: Path, fault: str
 ) -> None:
-    summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.025, fault=(fault,))
+    summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.03, fault=(fault,))
     assert (summary["outcome"], summary["monitors"]) == ("restarted", {})
     assert held(record)[0] == ("D1", "D2")
     log = list(read_log(tmp_path / "D2.mcap"))
@@ -127,7 +127,7 @@ def test_what_an_estimator_stepped_by_in_one_role_stays_taken_out_in_the_next(
         "1:step_yaw_receiver=25@follow+4",
         "2:step_north_sender=-2@follow+3",
     )
-    summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.025, fault=fault)
+    summary, record, _ = fly(rig, tmp_path, 0.62, 0.62, 1.0, hours=0.03, fault=fault)
     assert (summary["outcome"], summary["monitors"]) == ("committed", {})
     assert held(record) == [("D1", "D2"), ("D2", "D3")]
     steps = [
