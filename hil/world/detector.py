@@ -34,7 +34,7 @@ class DetectorConfig:
     miss_frames: Annotated[float, Bounds(1.0, 1000.0, "frames")] = 1.0
     false_positives: Annotated[float, Bounds(0.0, 0.9, "of 1")] = 0.0
     edge_px: Annotated[float, Bounds(-100.0, 100.0)] = 0.0
-    by_size: Annotated[BySize, Bounds(0.0, 16384.0)] = ()
+    by_size: Annotated[BySize, Bounds(0.0, 16384.0, "px")] = ()
 
     def __post_init__(self) -> None:
         sides = [side_px for side_px, _ in self.by_size]

@@ -62,7 +62,7 @@ def color(folder: Path) -> Stage:
 
 def network(folder: Path) -> Stage:
     detector = YoloxDetector(
-        YoloxDetectorConfig(bright_cells_network(folder / "bright.onnx", 64, 3))
+        YoloxDetectorConfig(bright_cells_network(folder / "bright.onnx", 64, 3), max_zoom=1.0)
     )
     image = np.zeros((96, 128, 3), np.uint8)
     image[16:32, 48:64, 2] = 255

@@ -208,15 +208,15 @@ def test_a_marker_that_is_lost_for_ten_seconds_of_the_agreement_costs_time_and_n
 
 
 def test_going_around_takes_until_the_drone_is_within_its_bounds_again(tmp_path: Path) -> None:
-    """Its pilot stops the motors as the approach begins; it falls, and is told only with a
-    heartbeat a second.
+    """Its pilot stops the motors in the approach; it falls, and is told only with a heartbeat a
+    second.
     """
     (tmp_path / "rig.toml").write_text(
         'name = "slow-beat"\nlike = "sim"\n[world.autopilot]\nheartbeat_hz = 1.0\n'
         "[sender.vehicle]\nheartbeat_timeout_s = 2.5\n[receiver.vehicle]\nheartbeat_timeout_s = 2.5\n"
     )
     # of seed 2, in which D2 has the marker in view while it falls
-    flown = fly(str(tmp_path / "rig.toml"), tmp_path / "run", 2, "rc_kill_receiver@search")
+    flown = fly(str(tmp_path / "rig.toml"), tmp_path / "run", 2, "rc_kill_receiver@approach+1")
     notes = [note.record["note"] for note in flown.run.receiver["/note"]]
     assert sum(note.startswith("goes around: closing in") for note in notes) == 1
     assert flown.facts.outcome == "pilot_override"
@@ -422,7 +422,7 @@ def test_a_marker_of_another_id_is_said_by_its_id(
     text = rig_library.whole("sim-rendered")
     assert text.count("[mission.target]") == 1
     impatient = text.replace(
-        "[mission.target]", "[mission.deadlines]\nsearch_s = 2.0\n\n[mission.target]"
+        "[mission.target]", "[mission.deadlines]\nsearch_s = 4.0\n\n[mission.target]"
     )
     slower = impatient.replace("rate_hz = 50.0", "rate_hz = 20.0")
     assert slower != impatient

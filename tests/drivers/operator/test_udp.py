@@ -13,6 +13,7 @@ import pytest
 from drivers.interfaces import LinkError
 from drivers.operator.interfaces import Chosen, PlaceTold
 from drivers.operator.udp import WAITING, UdpOperator, UdpOperatorConfig
+from path.messages import Role
 from tests.drivers.operator.test_words import NOW_NS, QUESTION
 from tests.free_ports import free_port
 
@@ -30,6 +31,7 @@ class Clock:
 @dataclass
 class Context:
     clock: Clock
+    role: Role = Role.SENDER
 
 
 async def until_heard(operator: UdpOperator, count: int) -> list[Any]:

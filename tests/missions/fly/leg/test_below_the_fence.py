@@ -23,7 +23,8 @@ CONFIG = MissionConfig(
 @pytest.mark.parametrize(("up_m", "seeks"), [(0.0, False), (2.5, False), (2.5, True), (9.0, True)])
 def test_the_place_behind_a_target_is_below_the_fence(up_m: float, seeks: bool) -> None:
     drone: Any = SimpleNamespace(
-        _config=CONFIG, _regaining=lambda: seeks, _heading_rad=0.0, _tilt=Tilt(), _axis_b=(0.7, 0.0, 0.7)
+        _config=CONFIG, _regaining=lambda: seeks, _heading_rad=0.0, _tilt=Tilt(), _axis_b=(0.7, 0.0, 0.7),
+        _session=SimpleNamespace(fence=CONFIG.fence),
     )  # fmt: skip
     _, _, down = Sender._view_of(drone, (4.0, 0.0, -CONFIG.target.height_m - up_m))
     wanted_m = (
