@@ -212,7 +212,7 @@ class Fence:
 
     def _on_edges(self, north_m: float, east_m: float) -> list[Corner]:
         """Return the nearest point of every edge."""
-        return [_on_edge((north_m, east_m), first, second) for first, second in self._edges()]
+        return [on_edge((north_m, east_m), first, second) for first, second in self._edges()]
 
     def _inside(self, north_m: float, east_m: float) -> bool:
         """Return whether a place is inside the polygon: a ray from it crosses the edges an odd
@@ -267,7 +267,7 @@ def _stopping_mps(
     return math.sqrt(late_mps * late_mps + 2.0 * accel_mps2 * room_m) - late_mps
 
 
-def _on_edge(
+def on_edge(
     place: Corner,
     first: Corner,
     second: Corner,

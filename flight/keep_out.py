@@ -18,6 +18,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from flight.config import MissionConfig
+from flight.fence import on_edge
 from flight.guidance import Vec3, from_heading, norm, subtract
 from flight.tracking.candidates import Candidate
 from flight.tracking.target_track import TargetTrack
@@ -51,10 +52,10 @@ class Body:
     def reach_m(self, within_s: float, config: MissionConfig) -> float:
         """Return how far along the ground its middle may be from where it was, so much later."""
         north, east, _ = self.motion.mean[3:].tolist()
-        later = Motion(self.motion.mean.copy(), self.motion.covariance, self.motion.stamp_ns)
-        later.advance(later.stamp_ns + round(within_s * 1e9), config.follow.target_accel_mps2)
-        by_speed_m = config.target.fastest_mps * within_s + _SIGMAS * _level_sigma_m(self.motion)
-        by_motion_m = math.hypot(north, east) * within_s + _SIGMAS * _level_sigma_m(later)
+        later_ns = self.motion.stamp_ns + round(within_s * 1e9)
+        later = self.motion.ahead(later_ns, config.follow.target_accel_mps2)
+        by_speed_m = config.target.fastest_mps * within_s + _SIGMAS * self.motion.level_sigma_m
+        by_motion_m = math.hypot(north, east) * within_s + _SIGMAS * later.level_sigma_m
         return min(by_speed_m, by_motion_m)
 
 
@@ -175,12 +176,7 @@ def _may_go(
 
 def _nearest_m(here: Vec3, there: Vec3, place: Vec3) -> float:
     """Return how near a straight way along the ground comes to a place."""
-    north, east, _ = subtract(there, here)
-    to_north, to_east, _ = subtract(place, here)
-    way2 = north * north + east * east
-    share = (to_north * north + to_east * east) / way2 if way2 > 0.0 else 0.0
-    share = min(1.0, max(0.0, share))
-    return math.hypot(to_north - share * north, to_east - share * east)
+    return math.dist(place[:2], on_edge(place[:2], here[:2], there[:2]))
 
 
 def _lately(bodies: list[Body], now_ns: int) -> list[Body]:
@@ -190,8 +186,3 @@ def _lately(bodies: list[Body], now_ns: int) -> list[Body]:
 
 def _top_m(motion: Motion, half_m: float, *, flies: bool) -> float:
     return math.inf if flies else half_m - float(motion.mean[2])
-
-
-def _level_sigma_m(motion: Motion) -> float:
-    known = motion.place_covariance_m2
-    return math.sqrt(0.5 * float(known[0, 0] + known[1, 1]))

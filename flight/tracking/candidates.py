@@ -97,15 +97,8 @@ class Candidate:
         """Return its place at a stamp, and the standard deviation of that along the ground, per
         axis.
         """
-        motion = self.ahead(stamp_ns, accel_mps2)
-        known = motion.place_covariance_m2
-        return _vec3(motion.place_m), math.sqrt(0.5 * float(known[0, 0] + known[1, 1]))
-
-    def ahead(self, stamp_ns: int, accel_mps2: float) -> Motion:
-        """Return its motion at a stamp, carried on."""
-        motion = Motion(self.motion.mean.copy(), self.motion.covariance, self.motion.stamp_ns)
-        motion.advance(stamp_ns, accel_mps2)
-        return motion
+        motion = self.motion.ahead(stamp_ns, accel_mps2)
+        return _vec3(motion.place_m), motion.level_sigma_m
 
     def likely_velocity_n_mps(self, fastest_mps: float) -> Vec3:
         """Return its velocity as far as it is known, along each axis: nothing of where it may as
@@ -288,7 +281,7 @@ class Candidates:
         for t, track in enumerate(self.all):
             if stamp_ns - track.stamp_ns > COASTED_S * 1e9:
                 continue
-            expected = track.ahead(stamp_ns, self._accel_mps2)
+            expected = track.motion.ahead(stamp_ns, self._accel_mps2)
             known_m2 = expected.place_covariance_m2
             for d, one in enumerate(seen):
                 off_m = np.asarray(one.place_n_m) - expected.place_m

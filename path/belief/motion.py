@@ -88,6 +88,17 @@ class Motion:
         # whole in memory: kernels are compiled for that
         return self.covariance[:3, :3].copy()
 
+    @property
+    def level_sigma_m(self) -> float:
+        """Return the standard deviation of the place along the ground, per axis."""
+        return math.sqrt(0.5 * float(self.covariance[0, 0] + self.covariance[1, 1]))
+
+    def ahead(self, stamp_ns: int, accel_mps2: float | Array) -> Motion:
+        """Return it as it is predicted to be at a later stamp."""
+        later = Motion(self.mean.copy(), self.covariance, self.stamp_ns)
+        later.advance(stamp_ns, accel_mps2)
+        return later
+
     def advance(self, stamp_ns: int, accel_mps2: float | Array) -> None:
         """Predict to a later stamp; an earlier one changes nothing."""
         t = (stamp_ns - self.stamp_ns) * 1e-9
