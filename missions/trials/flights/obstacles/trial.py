@@ -20,7 +20,7 @@ from flight.fence import Fence
 from flight.plan.complete import complete
 from missions.ground.rig_library import mission_of
 from missions.look.report.summary import summarize
-from missions.trials.shared.flown import fly, throw_away
+from missions.trials.shared.flown import at_least, fly_and_throw_away, never
 from missions.trials.shared.statistics import wilson
 from missions.trials.shared.trial import (
     TrialFinding,
@@ -113,10 +113,7 @@ def not_knowing(rig: Rig, obstacles: tuple[Obstacle, ...]) -> Rig:
 
 def fly_order(order: Order) -> Flown:
     """Fly one; its logs are read and thrown away."""
-    try:
-        facts, records = fly(order.rig, order.seed, (), order.folder)
-    finally:
-        throw_away(order.folder)
+    facts, records = fly_and_throw_away(order.rig, order.seed, (), order.folder)
     wrong = bool(summarize(records)["wrong_handover"])
     return Flown(order.how, order.seed, facts.outcome, wrong, Counter(facts.violations))
 
@@ -143,14 +140,10 @@ def result(flown: Sequence[Flown], p99_ms: float) -> TrialResult:
     touched = _touches(around)
     wrong = sum(each.wrong for each in flown)
     findings = (
-        TrialFinding(
-            "committed and held, around what the crew knows",
-            f"{rate:.1%}",
-            f"{low:.1%} to {high:.1%} of {len(around)}",
-            goal=f">= {COMMIT_RATE:.0%}",
-            verdict=verdict(rate >= COMMIT_RATE),
+        at_least(
+            "committed and held, around what the crew knows", committed, len(around), COMMIT_RATE
         ),
-        TrialFinding("obstacles touched", str(touched), goal="0", verdict=verdict(touched == 0)),
+        never("obstacles touched", touched),
         *(
             TrialFinding(
                 f"the same worlds unknown, flown {how}: committed without a touch",
@@ -159,7 +152,7 @@ def result(flown: Sequence[Flown], p99_ms: float) -> TrialResult:
             )
             for how in ("looking", "straight")
         ),
-        TrialFinding("wrong objects", str(wrong), goal="0", verdict=verdict(wrong == 0)),
+        never("wrong objects", wrong),
         TrialFinding(
             "a place and the way to it, ms of a core, 99th percentile",
             f"{p99_ms:.2f}",

@@ -19,14 +19,12 @@ from drivers.rig.parts import Rig
 from flight.plan.complete import complete
 from missions.ground.rig_library import mission_of, shorter
 from missions.look.report.summary import summarize
-from missions.trials.shared.flown import fly, throw_away
+from missions.trials.shared.flown import at_least, fly_and_throw_away, never
 from missions.trials.shared.statistics import wilson
 from missions.trials.shared.trial import (
-    TrialFinding,
     TrialRequest,
     TrialResult,
     TrialTable,
-    verdict,
 )
 from path.values import frozen
 
@@ -90,10 +88,8 @@ def of_size(rig: Rig, diameter_m: float, mass_kg: float) -> Rig:
 
 def fly_order(order: WashOrder) -> WashFlight:
     """Fly one; its logs are read and thrown away."""
-    try:
-        facts, records = fly(order.rig, order.seed, (f"wash={order.times:g}",), order.folder)
-    finally:
-        throw_away(order.folder)
+    faults = (f"wash={order.times:g}",)
+    facts, records = fly_and_throw_away(order.rig, order.seed, faults, order.folder)
     summary = summarize(records)
     nearest_m = summary["min_separation_m"]
     nearest_m = math.inf if nearest_m is None else nearest_m
@@ -137,19 +133,12 @@ def result(cells: Sequence[dict[str, Any]], flown: Sequence[WashFlight]) -> Tria
     wrong = sum(each.wrong for each in flown)
     usual = [each for each in flown if each.times == 1.0]
     committed = sum(each.outcome == "committed" for each in usual)
-    rate = committed / len(usual)
-    low, high = wilson(committed, len(usual))
     findings = (
-        TrialFinding(
-            "committed in the air as it is",
-            f"{rate:.1%}",
-            f"{low:.1%} to {high:.1%} of {len(usual)}",
-            goal=f">= {COMMIT_RATE:.0%}",
-            verdict=verdict(rate >= COMMIT_RATE),
-        ),
-        TrialFinding("contacts", str(contacts), goal="0", verdict=verdict(contacts == 0)),
-        TrialFinding("wrong objects", str(wrong), goal="0", verdict=verdict(wrong == 0)),
+        at_least("committed in the air as it is", committed, len(usual), COMMIT_RATE),
+        never("contacts", contacts),
+        never("wrong objects", wrong),
     )
+    rate = committed / len(usual)
     summary = {"commit_rate": rate, "contacts": contacts, "wrong": wrong, "cells": list(cells)}
     violations = sum(each.violations for each in flown)
     return TrialResult(

@@ -81,10 +81,7 @@ def fly(
     if errors is not None:
         rig = replace(rig, world={**rig.world, "errors": errors})
     rig = replace(rig, method=replace(rig.method, gate=gate))
-    try:
-        facts, run = flown.fly(rig, seed, faults, folder)
-    finally:
-        flown.throw_away(folder)
+    facts, run = flown.fly_and_throw_away(rig, seed, faults, folder)
     return FlownMission(
         gate=gate,
         faults=faults,
