@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from drivers.interfaces import VehicleState
-from flight.guidance import Vec3, add, norm, scale, subtract
+from flight.guidance import GRAVITY_MPS2, Vec3, add, norm, scale, subtract
 from flight.own_walk import OwnWalk
 from path.geometry.rotation import wrapped, yaw_of
 from path.values import value
@@ -29,7 +29,6 @@ SIGMAS = 5.0
 # of that is enough, shortly after the autopilot's own count of its resets has changed
 COUNTED_SHARE = 0.5
 COUNTED_NS = 500_000_000  # for so long: the count comes in another message than the place
-GRAVITY_MPS2 = 9.81
 TURN_RPS2 = 10.0  # no multicopter turns its nose harder
 LATE_S = 0.04  # what a state's stamp may be late by more than the one before
 # states nearer to each other came in one burst: the older one is compared with the next

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from drivers.interfaces import VehicleState, VelocitySetpoint
 from path.values import frozen, value
 
+GRAVITY_MPS2 = 9.81
 Vec3 = tuple[float, float, float]
 
 

@@ -26,10 +26,10 @@ from __future__ import annotations
 import math
 
 from drivers.rig.facts import DroneFacts
+from flight.guidance import GRAVITY_MPS2
 from path.compiled import as_it_is
 from path.values import frozen
 
-GRAVITY_MPS2 = 9.81
 AIR_KGPM3 = 1.225
 DECAY = 10.11
 SPREAD = 0.07668

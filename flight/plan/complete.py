@@ -52,7 +52,9 @@ def complete(rig: Rig) -> Rig:
         else:
             method = _method_with(method, key, each.value)
     mission = _with_site(mission, rig)
-    world = _with_obstacles(rig, _with_rangefinder(rig, _with_body(rig)))
+    world = _with_body(rig)
+    world = _with_rangefinder(rig, world)
+    world = _with_obstacles(rig, world)
     world = _with_drone(rig, world)
     world = _with_detector(rig, world)
     if mission == rig.mission and method == rig.method and world == rig.world and rig.depth is None:

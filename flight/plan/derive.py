@@ -21,6 +21,7 @@ from typing import Any
 
 from drivers.rig.facts import DroneFacts, SiteFacts
 from flight.config import Deadlines, GuardConfig, RendezvousConfig, SeparationConfig
+from flight.guidance import GRAVITY_MPS2
 from flight.plan.errors import TILT_RAD, predict
 from flight.plan.facts import Facts
 from flight.plan.geometry import (
@@ -39,7 +40,6 @@ from flight.way_out import LANDING_MPS
 from path.config import MethodConfig
 from path.values import frozen
 
-GRAVITY_MPS2 = 9.81
 HARDEST = 1.1  # times what the target does: to follow it
 # times hold_m, within the square of its response: the acceleration that a drone wanders with
 WANDERS = 3.0

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from flight.guidance import Vec3, from_heading
-from flight.plan.derive import GRAVITY_MPS2, MOST_WAY_OUT_M, way_out_m
+from flight.guidance import GRAVITY_MPS2, Vec3, from_heading
+from flight.plan.derive import MOST_WAY_OUT_M, way_out_m
 from flight.plan.facts import Facts
 from flight.plan.flown import Flown, Problem
 from flight.plan.geometry import Floats
