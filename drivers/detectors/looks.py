@@ -44,20 +44,23 @@ def windows(region: Region | None, width: int, height: int, own: Input) -> list[
     Of a region there are at most ``own.most``: rather less enlarged than more. Of a whole image
     there may be more, to be looked at in turns.
     """
-    if region is None or region.clipped(width, height) is None:
-        return [(0, 0, width, height)] if region is None else []
+    whole = (0, 0, width, height)
+    if region is None:
+        return [whole]
+    if region.clipped(width, height) is None:
+        return []
     everywhere = (
         region.x0 <= 0.0 and region.y0 <= 0.0 and region.x1 >= width and region.y1 >= height
     )
-    if everywhere and region.side_px <= 0.0:
-        return [(0, 0, width, height)]
     unsaid = region.side_px <= 0.0
+    if everywhere and unsaid:
+        return [whole]
     side_px = region.side_px or min(region.x1 - region.x0, region.y1 - region.y0) / REGION_SIDES
     area = _reached(region, 0.5 * ROOM * side_px, width, height)
     least = min(own.width / width, own.height / height)
     most = max(1, (own.most - unsaid) // len(own.sizes_px))
     # what is larger than its region makes one think is seen whole in the whole image alone
-    found: list[Window] = [(0, 0, width, height)] if unsaid else []
+    found: list[Window] = [whole] if unsaid else []
     for size_px in own.sizes_px:
         scale = max(least, min(size_px / side_px, own.most_zoom))
         tiles = list(_tiles(area, scale, side_px, (width, height), own))

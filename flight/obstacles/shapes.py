@@ -31,13 +31,15 @@ def rows_of(obstacles: tuple[Obstacle, ...]) -> Array:
     for row, each in zip(rows, obstacles, strict=True):
         heading_rad = math.radians(each.heading_deg)
         row[NORTH], row[EAST] = each.place_m
-        row[COS], row[SIN] = math.cos(heading_rad), math.sin(heading_rad)
+        row[COS] = math.cos(heading_rad)
+        row[SIN] = math.sin(heading_rad)
         half_m = 0.5 * np.array(each.size_m)
         if each.round:
             row[RADIUS] = half_m[0]
         else:
             row[ALONG], row[ACROSS] = half_m
-        row[FLOOR], row[TOP] = each.floor_m, each.top_m
+        row[FLOOR] = each.floor_m
+        row[TOP] = each.top_m
     return rows
 
 
